@@ -1,4 +1,4 @@
-"""The two data sets of the University of Toronto: Lost in the Woods, and MRCLAM with its five robots."""
+"""UTIAS Lost in the Woods: one robot with a laser among 17 tubes."""
 
 from __future__ import annotations
 
