@@ -34,13 +34,13 @@ def next_mark(numbers: Array, strengths: Array, current: int, floor: float) -> i
 
 
 @jit
-def potentiate(w: float, x: float, a_plus: float, mu: float) -> float:
+def potentiate(w: Any, x: Any, a_plus: float, mu: float) -> Any:
     """w + A+ (1 - w)^mu x, at most 1: the post-synaptic spike, x the trace of the pre-synaptic one."""
     return min(1.0, w + a_plus * x * (1.0 - w) ** mu)
 
 
 @jit
-def depress(w: float, y: float, a_minus: float, mu: float) -> float:
+def depress(w: Any, y: Any, a_minus: float, mu: float) -> Any:
     """w - A- w^mu y, at least 0: the pre-synaptic spike, y the trace of the post-synaptic one."""
     return max(0.0, w - a_minus * y * w**mu)
 

@@ -28,7 +28,7 @@ def levy_length(cdf: Array, u: float) -> int:
             low = middle + 1
         else:
             high = middle
-    return min(low, cdf.shape[0] - 1) + 1
+    return low + 1 if low < cdf.shape[0] else cdf.shape[0]
 
 
 @jit

@@ -96,8 +96,9 @@ class LogMemory:
 
     For each landmark i, v_ij estimates P(j seen within the last `window` s | i is seen): on a confirmed sighting of i,
     v_i <- v_i + eta (hit - v_i) from v = 1/2. With `rate` None eta = 1/(n + 1), and v is exactly (hits + 1/2)/(n + 1);
-    a constant rate forgets old laps. "Lately" means in earlier steps, which is all that is known when the candidates of
-    a step are weighed; a landmark may well be its own company. Memory: two numbers for each pair of landmarks.
+    a rate keeps eta from falling below it, and so forgets old laps. "Lately" means in earlier steps, which is all that
+    is known when the candidates of a step are weighed; a landmark may well be its own company. Memory: two numbers for
+    each pair of landmarks.
     """
 
     def __init__(self, window: float = 3.0, rate: float | None = None, clip: float = 2.0) -> None:
@@ -168,13 +169,16 @@ class LogMemory:
         return twin
 
     def _eta(self, seen: int) -> float:
-        return 1.0 / (seen + 2) if self.rate is None else self.rate
+        return max(1.0 / (seen + 2), self.rate or 0.0)
 
     def _unseen(self, seen: Ids) -> Array:
-        """v of a pair that was never a hit in `seen` sightings, from 1/2."""
+        """v of pairs that were never a hit in `seen` sightings, from 1/2: the product of all 1 - eta."""
         if self.rate is None:
-            return 0.5 / (seen + 1.0)
-        return np.asarray(0.5 * (1.0 - self.rate) ** seen)
+            early: Array = np.asarray(0.5 / (seen + 1.0), dtype=np.float64)
+            return early
+        counted = np.minimum(seen, max(0, math.floor(1.0 / self.rate) - 1))
+        v: Array = 0.5 / (counted + 1.0) * (1.0 - self.rate) ** (seen - counted)
+        return v
 
     def _slot_of(self, i: int) -> int:
         slot = self._slot.get(i)
