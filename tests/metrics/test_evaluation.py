@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from handmade import estimate, trace, truth
 
+from handmade import estimate, trace, truth
 from tomthumb.errors import TomThumbError
 from tomthumb.metrics import collect, evaluate, score
 from tomthumb.types import Observations, Prior, Scenario, Step, Truth
