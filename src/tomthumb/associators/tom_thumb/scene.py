@@ -90,7 +90,7 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         D = own - B @ Xi @ B.transpose(0, 2, 1)
         if _explained(C, Xi, p[sample], noise) and (np.linalg.eigvalsh(D)[:, 0] > -REMAINDER * noise).all():
             area = np.abs(np.linalg.det(Tq))
-            return Rigid(q, R, p, _floored(D), Xi, base - np.log(area), odds)
+            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds)
     return None
 
 
