@@ -69,6 +69,7 @@ class TomThumb:
     samples: int = 40
     reach: float = 7.0
     sure: float = 0.98
+    hard: float = 1.5
     parts: dict[str, bool] = field(default_factory=dict)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
@@ -90,7 +91,7 @@ class TomThumb:
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations: pose basins matter."""
-        return len(near.counts) >= 3 and float(near.counts.mean()) > 1.5
+        return len(near.counts) >= 3 and float(near.counts.mean()) > self.hard
 
     # --- 2: anchored flights ------------------------------------------------------------------------------------
 
