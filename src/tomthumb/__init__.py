@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0.dev0"
 
 _PUBLIC = {
-    "associate": "tomthumb.associators.plain",
+    "associate": "tomthumb.plain",
+    "run": "tomthumb.runner",
     "evaluate": "tomthumb.metrics",
     "load": "tomthumb.scenarios",
     "minimize": "tomthumb.forest.minimize",
@@ -42,12 +43,12 @@ _PUBLIC = {
     "tomthumb.types",
 )
 
-__all__ = ["__version__", "run", *_PUBLIC]
+__all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
     from tomthumb.lifecycle import LifeCycle as LifeCycle
     from tomthumb.metrics import evaluate as evaluate
-    from tomthumb.run import run as run
+    from tomthumb.runner import run as run
     from tomthumb.scenarios import load as load
     from tomthumb.slam import Slam as Slam
 
@@ -55,8 +56,6 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     from importlib import import_module
 
-    if name == "run":
-        return import_module("tomthumb.run")  # callable, and the module of that name
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tomthumb' has no attribute {name!r}")
     value = getattr(import_module(_PUBLIC[name]), name)
