@@ -22,7 +22,10 @@ ScenarioName = Annotated[
     str, typer.Argument(help="A scenario by name, a folder or file of a known log, or kind:path?key=value.")
 ]
 AssociatorName = Annotated[
-    str, typer.Option("--associator", "-a", help="Who names the observations: a name, package.module:Class, ./file.py:Class.")
+    str,
+    typer.Option(
+        "--associator", "-a", help="Who names the observations: a name, package.module:Class, ./file.py:Class."
+    ),
 ]
 EstimatorName = Annotated[str, typer.Option("--estimator", "-e", help="Who keeps the belief: a name as above.")]
 Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of the world, the estimator and the associator.")]
@@ -36,7 +39,9 @@ Sets = Annotated[
 ]
 Config = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="TOML with [scenario], [associator], [estimator], [slam]; --set comes after it."),
+    typer.Option(
+        "--config", "-c", help="TOML with [scenario], [associator], [estimator], [slam]; --set comes after it."
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 
@@ -80,10 +85,12 @@ def read_settings(config: Path | None, sets: list[str] | None) -> Settings:
     return join(read_file(config) if config else empty(), parse_sets(sets or []))
 
 
-def execute(job: Job, scenario: Scenario, start_map: Any = None, quiet: bool = False, title: str = "") -> tuple[Row, SavedRun]:
+def execute(
+    job: Job, scenario: Scenario, start_map: Any = None, quiet: bool = False, title: str = ""
+) -> tuple[Row, SavedRun]:
     """Run and score: the row for tables and JSON, and the run with its truth for figures."""
     from tomthumb.metrics import collect, evaluate
-    from tomthumb.run import run
+    from tomthumb.runner import run
     from tomthumb.storage import SavedRun
 
     with progress(title or f"{job.scenario}: {job.associator}", scenario, quiet) as step:

@@ -33,10 +33,10 @@ def listing(
 
 def _entries(kind: str) -> Iterator[dict[str, Any]]:
     if kind == "scenarios":
-        from tomthumb.scenarios import catalogue
+        from tomthumb.scenarios import entries, parameters
 
-        for entry in catalogue():
-            yield {"name": entry.name, "needs": entry.needs, "help": entry.help}
+        for entry in entries().values():
+            yield {"name": entry.name, "needs": entry.needs, "help": entry.help, "parameters": parameters(entry.name)}
         return
     from tomthumb import registry
 
@@ -59,15 +59,16 @@ def _defaults(factory: Any) -> dict[str, Any]:
 
 def _print_table(kind: str, entries: list[dict[str, Any]]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=kind, show_lines=True, expand=True)
-    keys = ("name", "needs", "help") if kind == "scenarios" else ("name", "help", "parameters")
+    keys = [key for key in ("name", "needs", "help", "parameters") if key in entries[0]]
     for key in keys:
         table.add_column(key, ratio=None if key == "name" else 3 if key == "help" else 2, no_wrap=key == "name")
     for entry in entries:
-        table.add_row(*(_text(entry[key]) for key in keys))
-    Console().print(table, markup=False)
+        table.add_row(*(escape(_text(entry[key])) for key in keys))
+    Console().print(table)
 
 
 def _text(value: Any) -> str:

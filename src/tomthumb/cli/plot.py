@@ -14,9 +14,12 @@ FIGURES = ("map", "error", "consistency", "truth", "trail")
 
 def plot(
     saved: Annotated[Path, typer.Argument(help="A folder written by --out, or its trace.npz.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the figures; the run's own if left out.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the figures; the run's own if left out.")
+    ] = None,
     figure: Annotated[
-        list[str] | None, typer.Option("--figure", "-f", help=f"Repeatable: {', '.join(FIGURES)}; the first three if left out.")
+        list[str] | None,
+        typer.Option("--figure", "-f", help=f"Repeatable: {', '.join(FIGURES)}; the first three if left out."),
     ] = None,
 ) -> None:
     """Draw the figures of a run saved by `tomthumb run -o DIR`, as PNG and SVG."""

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from tomthumb.storage import SavedRun
 
 Out = Annotated[
-    Path | None, typer.Option("--out", "-o", help="Folder for trajectory.tum, map.csv, trace.npz, figures, report.html.")
+    Path | None,
+    typer.Option("--out", "-o", help="Folder for trajectory.tum, map.csv, trace.npz, figures, report.html."),
 ]
-Map = Annotated[Path | None, typer.Option("--map", help="Start in a saved map: map.csv, trace.npz or a folder of --out.")]
+Map = Annotated[
+    Path | None, typer.Option("--map", help="Start in a saved map: map.csv, trace.npz or a folder of --out.")
+]
 
 
 def run(
@@ -86,7 +89,9 @@ def _print_row(row: common.Row, out: Path | None) -> None:
 
     from tomthumb.report.tables import GROUPS
 
-    table = Table(title=f"{row['scenario']}: {row['associator']}, {row['estimator']}, seed {row['seed']}", show_header=False)
+    table = Table(
+        title=f"{row['scenario']}: {row['associator']}, {row['estimator']}, seed {row['seed']}", show_header=False
+    )
     table.add_column(justify="left", style="bold")
     table.add_column(justify="right")
     table.add_column(style="dim")

@@ -55,13 +55,13 @@ def error_figure(run: SavedRun) -> Figure:
     return figure
 
 
-def trail_and_error_figure(run: SavedRun) -> Figure:
+def trail_and_error_figure(run: SavedRun, title: str = "trail") -> Figure:
     """The paper's figures 6 and 7: the trail on the left, the errors in x and y with 99 % bounds on the right."""
     figure = _figure(11.0, 5.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
     trail = figure.add_subplot(grid[:, 0])
     _draw_map(trail, run)
-    _finish_map(trail, "trail")
+    _finish_map(trail, title)
     for row, name in enumerate(("x", "y")):
         axes = figure.add_subplot(grid[row, 1])
         _draw_error(axes, run, row, name)

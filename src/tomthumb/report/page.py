@@ -40,7 +40,11 @@ def run_page(row: Mapping[str, Any], pictures: Sequence[Picture], command: str) 
 def page(title: str, body: str, command: str) -> str:
     """A whole document around `body`, with the command that made it and the versions it ran on."""
     return _PAGE.format(
-        title=html.escape(title), style=_STYLE, body=body, command=html.escape(command), versions=html.escape(versions())
+        title=html.escape(title),
+        style=_STYLE,
+        body=body,
+        command=html.escape(command),
+        versions=html.escape(versions()),
     )
 
 
@@ -103,7 +107,9 @@ def _list(columns: Sequence[Column], row: Mapping[str, Any]) -> str:
 def _failure(row: Mapping[str, Any]) -> str:
     if not row.get("failure"):
         return ""
-    return f'<p class="failure">The filter failed: {html.escape(row["failure"])}. What follows is the run up to there.</p>'
+    return (
+        f'<p class="failure">The filter failed: {html.escape(row["failure"])}. What follows is the run up to there.</p>'
+    )
 
 
 _STYLE = """
