@@ -106,7 +106,7 @@ _INTRODUCTION = (
 
 
 def _pictures(outcomes: Sequence[Outcome]) -> dict[str, Picture]:
-    """Figure 5, then trail and error of every contender but the ground truth; JCBB and STT carry the paper's numbers."""
+    """Figure 5, then trail and error of every other contender; JCBB and STT carry the paper's numbers."""
     from tomthumb.report.figures import trail_and_error_figure, truth_figure
     from tomthumb.report.page import Picture
 

@@ -71,8 +71,8 @@ def write_outputs(folder: Path, row: common.Row, saved: SavedRun) -> None:
 CAPTIONS = {
     "map": (
         "Trail and map",
-        "True path and landmarks in red where they are known; estimated path, landmarks and their 99 % ellipses in blue. "
-        "Crosses on the path show where an observation was missed or wrongly paired.",
+        "True path and landmarks in red where they are known; estimated path, landmarks and their 99 % ellipses in "
+        "blue. Crosses on the path show where an observation was missed or wrongly paired.",
     ),
     "error": ("Errors of the pose", "Estimated minus true, without alignment; shaded: 2.576 sigma of the filter."),
     "consistency": (
