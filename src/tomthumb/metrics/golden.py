@@ -16,8 +16,8 @@ def golden_metrics(trace: Trace, recorded: Mapping[str, Any]) -> dict[str, Any]:
     """`golden_agree`: observations named as in the recording, of `golden_of`; `golden_state_error`: of the final state.
 
     `recorded` is the scenario's ``info["golden"]``: "matches", for each step after the first the number (from 1, in
-    order of birth) of each observation's landmark, or 0; "state (3 + 2n,)" at the end. The error, m and rad, is the largest
-    absolute difference, and unknown (NaN) when the maps differ in size.
+    order of birth) of each observation's landmark, or 0; "state (3 + 2n,)" at the end. The error, m and rad, is the
+    largest absolute difference, and unknown (NaN) when the maps differ in size.
     """
     mine = map_numbers(trace)[trace.offsets[1] :]
     theirs = np.concatenate([np.atleast_1d(numbers) for numbers in recorded["matches"]])
