@@ -101,8 +101,8 @@ def _read(folder: Path, name: str, columns: int) -> Array:
 def _landmarks(folder: Path) -> tuple[Array, dict[int, int]]:
     """The landmarks (n, 2) and, for each barcode of one, its row."""
     tubes = _read(folder, "Landmark_Groundtruth", 5)
-    subjects = {int(s): row for row, s in enumerate(tubes[:, 0])}
-    pairs = _read(folder, "Barcodes", 2).astype(np.int64)
+    subjects = {int(s): row for row, s in enumerate(whole(tubes[:, 0], folder, "a subject in Landmark_Groundtruth"))}
+    pairs = whole(_read(folder, "Barcodes", 2), folder, "a number in Barcodes")
     return tubes[:, 1:3], {int(code): subjects[int(s)] for s, code in pairs if int(s) in subjects}
 
 
