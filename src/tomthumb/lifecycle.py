@@ -57,8 +57,8 @@ class Life:
 
     @property
     def exist(self) -> float:
-        """Probability that there is such a landmark."""
-        return (self.hits + 0.5) / (self.chances + 1.0)
+        """Probability that there is such a landmark, from its sightings and its opportunities."""
+        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
 
 
 Ledger = dict[int, Life]
@@ -87,12 +87,10 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
         life.static += distance < gate2
 
 
-def record_misses(ledger: Ledger, predictions: Predictions, seen: set[int], detect: float, policy: LifeCycle) -> None:
-    """Landmarks well inside the field of view that were not seen."""
-    chance = predictions.visible if predictions.visible is not None else np.ones(len(predictions))
-    for i in predictions.ids[chance > policy.in_view * detect]:
-        if int(i) not in seen:
-            ledger[int(i)].chances += 1.0
+def record_misses(ledger: Ledger, missed: Ids, chance: Array) -> None:
+    """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
+    for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
+        ledger[i].chances += p
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
