@@ -114,11 +114,11 @@ def _failure(row: Mapping[str, Any]) -> str:
 
 _STYLE = """
 :root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c2733; background: #fff; max-width: 1150px; margin: 2rem auto;
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c2733; background: #fff; max-width: 1250px; margin: 2rem auto;
   padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 .4rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .28rem .6rem; text-align: right; border-bottom: 1px solid #e3e8ee; white-space: nowrap; }
+th, td { padding: .28rem .5rem; text-align: right; border-bottom: 1px solid #e3e8ee; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 thead th { background: #f3f6fa; }
 .metrics th { font-weight: 600; } .metrics td:last-child { text-align: left; color: #5b6b7b; white-space: normal; }
