@@ -32,8 +32,8 @@ CONTENDERS = (
     Contender("ground truth", "oracle", UNTAUGHT),
     Contender("NN", "nn", UNTAUGHT),
     Contender("JCBB", "jcbb", UNTAUGHT),
-    Contender("STT, untaught", "stt", UNTAUGHT),
-    Contender("STT, taught one lap", "stt", TAUGHT),
+    Contender("STT untaught", "stt", UNTAUGHT),
+    Contender("STT taught", "stt", TAUGHT),
 )
 
 
@@ -121,7 +121,7 @@ def _pictures(outcomes: Sequence[Outcome]) -> dict[str, Picture]:
     return pictures
 
 
-_PAPER = {"JCBB": "Figure 6", "STT, taught one lap": "Figure 7"}
+_PAPER = {"JCBB": "Figure 6", "STT taught": "Figure 7"}
 _FIGURE_5 = "Red: the true landmarks and the true path of the robot, as in the paper's figure 5."
 _FIGURE_6 = (
     "Trail, map and the errors in x and y with their 99 % bounds, associations by {associator}. Crosses on the trail: "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Iterator
 from typing import Annotated, Any
 
@@ -35,8 +36,11 @@ def _entries(kind: str) -> Iterator[dict[str, Any]]:
     if kind == "scenarios":
         from tomthumb.scenarios import entries, parameters
 
+        def _known(name: str) -> dict[str, Any]:
+            return {key: _plain(value) for key, value in parameters(name).items()}
+
         for entry in entries().values():
-            yield {"name": entry.name, "needs": entry.needs, "help": entry.help, "parameters": parameters(entry.name)}
+            yield {"name": entry.name, "needs": entry.needs, "help": entry.help, "parameters": _known(entry.name)}
         return
     from tomthumb import registry
 
@@ -54,7 +58,14 @@ def _defaults(factory: Any) -> dict[str, Any]:
     from tomthumb.registry import parameters_of
 
     known = parameters_of(factory)
-    return {name: p.default for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+    return {name: _plain(p.default) for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can hold it: infinity by name, everything that is no scalar or sequence by its text."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, (bool, int, float, str, list, tuple, type(None))) else str(value)
 
 
 def _print_table(kind: str, entries: list[dict[str, Any]]) -> None:

@@ -120,12 +120,20 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _draw_truth(axes: Axes, run: SavedRun) -> None:
-    truth, pose = run.truth, run.truth.pose
-    dense = len(pose) > RASTER_FROM
-    if np.isfinite(pose[:, 0]).any():
-        axes.plot(pose[:, 0], pose[:, 1], color=TRUE, lw=1.0, label="true path", rasterized=dense)
+    truth = run.truth
+    path = _known_path(run.trace.t, truth.pose[:, :2])
+    if len(path):
+        axes.plot(*path.T, color=TRUE, lw=1.0, label="true path", rasterized=len(path) > RASTER_FROM)
     if truth.landmarks is not None and len(truth.landmarks):
         axes.plot(*truth.landmarks.T, ".", color=TRUE, ms=5, label="true landmarks", zorder=3)
+
+
+def _known_path(t: Array, points: Array) -> Array:
+    """Points (k, 2) where they are known; truth is often sparser than the steps, so only longer gaps break the line."""
+    known = np.flatnonzero(np.isfinite(points).all(1))
+    gaps = np.diff(t[known])
+    long = np.flatnonzero(gaps > 10.0 * np.median(gaps)) if len(gaps) else []
+    return np.insert(points[known], np.asarray(long, int) + 1, np.nan, axis=0)
 
 
 def _draw_map(axes: Axes, run: SavedRun) -> None:
