@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
@@ -36,11 +36,13 @@ def _entries(kind: str) -> Iterator[dict[str, Any]]:
     if kind == "scenarios":
         from tomthumb.scenarios import entries, parameters
 
-        def _known(name: str) -> dict[str, Any]:
-            return {key: _plain(value) for key, value in parameters(name).items()}
-
         for entry in entries().values():
-            yield {"name": entry.name, "needs": entry.needs, "help": entry.help, "parameters": _known(entry.name)}
+            yield {
+                "name": entry.name,
+                "needs": entry.needs,
+                "help": entry.help,
+                "parameters": _plain_values(parameters(entry.name)),
+            }
         return
     from tomthumb import registry
 
@@ -58,7 +60,12 @@ def _defaults(factory: Any) -> dict[str, Any]:
     from tomthumb.registry import parameters_of
 
     known = parameters_of(factory)
-    return {name: _plain(p.default) for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+    given = {name: p.default for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+    return _plain_values(given)
+
+
+def _plain_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _plain(value) for key, value in values.items()}
 
 
 def _plain(value: Any) -> Any:

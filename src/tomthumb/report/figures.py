@@ -132,8 +132,9 @@ def _known_path(t: Array, points: Array) -> Array:
     """Points (k, 2) where they are known; truth is often sparser than the steps, so only longer gaps break the line."""
     known = np.flatnonzero(np.isfinite(points).all(1))
     gaps = np.diff(t[known])
-    long = np.flatnonzero(gaps > 10.0 * np.median(gaps)) if len(gaps) else []
-    return np.insert(points[known], np.asarray(long, int) + 1, np.nan, axis=0)
+    if not len(gaps):
+        return points[known]
+    return np.insert(points[known], np.flatnonzero(gaps > 10.0 * np.median(gaps)) + 1, np.nan, axis=0)
 
 
 def _draw_map(axes: Axes, run: SavedRun) -> None:
