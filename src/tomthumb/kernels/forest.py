@@ -1,7 +1,6 @@
 """The tale's inner loops: marks of a trail, STDP changes, and the family's moves. Array in, array out.
 
-What the associator shares with the forest (marks, pair rule) stands here beside its callers, because kernels that call
-one another live in one file.
+What the associator shares with the forest stands here beside its callers: kernels that call one another share a file.
 """
 
 from __future__ import annotations
@@ -122,9 +121,7 @@ def sense(cells: Array, row: int, column: int, eyes: Array, wear: int, royal: bo
 @jit
 def unfaded(laid: int, tick: int, tau: float) -> float:
     """Strength of the mark whose `laid` is 0 (none), -1 (stone) or 1 + the tick of a crumb."""
-    if laid == 0:
-        return 0.0
-    return mark_strength(float(tick + 1 - laid), tau, laid < 0)
+    return mark_strength(float(tick + 1 - laid), tau, laid < 0) if laid != 0 else 0.0
 
 
 @jit
@@ -136,8 +133,7 @@ def drop_mark(
     Keeping the oldest is what makes a walk that crosses itself lead home: whoever stands on the mark of step n > 0 has
     in the window the mark of the step before, whose number is lower still.
     """
-    seen = unfaded(laid[r, c], tick, tau) >= low and laid[r, c] != 0
-    if not seen or step < number[r, c]:
+    if laid[r, c] == 0 or unfaded(laid[r, c], tick, tau) < low or step < number[r, c]:
         number[r, c] = step
     if stone:
         laid[r, c] = -1
@@ -167,9 +163,7 @@ def direction_of(dr: int, dc: int) -> int:
 @jit
 def near(delta: int, n: int, boundary: int) -> int:
     """A difference of coordinates by the shorter way round."""
-    if boundary == TORUS:
-        return (delta + n // 2) % n - n // 2
-    return delta
+    return (delta + n // 2) % n - n // 2 if boundary == TORUS else delta
 
 
 @jit
