@@ -26,9 +26,10 @@ _NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 class Regulation:
     """Tzafestas' laydown and pickup, as a loop on what is carried and a slower one on its set point.
 
-    A cell needs one crumb only. Laying it down has chance carried / (carried + set point), picking up its complement: whoever carries much lays, whoever
-    carries little gathers, and nobody ever lays what it has not or takes more than `budget`. The set point begins at 1;
-    a paying trip lowers it (bolder), a trip to a source that has nothing raises it (thriftier), by `rate` of the way.
+    A cell needs one crumb only. Laying it down has chance carried / (carried + set point), picking up its complement:
+    whoever carries much lays, whoever carries little gathers, and nobody ever lays what it has not or takes more than
+    `budget`. The set point begins at 1; a paying trip lowers it (bolder), a trip to a source that has nothing raises it
+    (thriftier), by `rate` of the way.
 
     Attributes:
         budget: crumbs of a robot, N0; carried + on the ground is conserved.
@@ -181,7 +182,8 @@ def _random_heading(c: Colony, habits: Habits, r: int, rng: np.random.Generator)
         c.heading[r] = _NEIGHBOURS[k if k < 4 else k + 1]
         c.left[r] = habits.law.draw(rng, 1)[0]
     c.left[r] -= 1
-    return c.heading[r]
+    heading: Ids = c.heading[r]
+    return heading
 
 
 def _load(c: Colony, world: Quarry, habits: Habits, r: int) -> bool:
@@ -223,7 +225,8 @@ def _outward_mark(c: Colony, world: Quarry, r: int) -> Ids | None:
     good = inside & (c.marks[kept[:, 0], kept[:, 1]] > 0) & (away > np.abs(here - home).sum())
     if not good.any():
         return None
-    return _NEIGHBOURS[int(np.argmax(np.where(good, away, -1)))]
+    heading: Ids = _NEIGHBOURS[int(np.argmax(np.where(good, away, -1)))]
+    return heading
 
 
 def _lay(c: Colony, habits: Habits, r: int, rng: np.random.Generator) -> None:

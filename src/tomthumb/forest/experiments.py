@@ -113,13 +113,12 @@ def boots_contrasts(forests: int, size: int = 48) -> list[Contrast]:
     rules = Rules()
     walk = power_law(rules.lam, longest(rules, (size, size)))
     boots = scaled_law(walk, alpha_of(rules, (size, size)))
+
+    def measure(law: LengthLaw, which: int) -> Measure:
+        return lambda seed: ogre_to_palace(seed, law, size)[which]
+
     return [
-        contrast(
-            f"ogre to palace, boots against none, {what}",
-            lambda k, i=i: ogre_to_palace(k, boots, size)[i],
-            lambda k, i=i: ogre_to_palace(k, walk, size)[i],
-            forests,
-        )
+        contrast(f"ogre to palace, boots against none, {what}", measure(boots, i), measure(walk, i), forests)
         for i, what in enumerate(("flights", "distance"))
     ]
 
