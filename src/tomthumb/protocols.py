@@ -60,8 +60,18 @@ class Sensor(Protocol):
         """Probability (n,) that a point predicted at `z_hat` with variances `var (n, 2)` is in the field of view."""
         ...
 
-    def density(self, z: Array) -> Array:
-        """Density (m,) of false observations at z, per unit of z."""
+    @property
+    def clutter(self) -> float:
+        """False observations per m2 of the plane and scan."""
+        ...
+
+    @property
+    def fov(self) -> float:
+        """Full opening angle, rad."""
+        ...
+
+    def scale(self, z: Array) -> Array:
+        """m2 of the plane per unit of z at each z (m,): turns a density per m2 into one per unit of z."""
         ...
 
 
@@ -92,8 +102,8 @@ class Estimator(Protocol[Belief]):
         """Pairings with stones move the pose; those with crumbs move the crumb only. `ids`: one (m,) for each of `expect`."""
         ...
 
-    def add(self, belief: Belief, observations: Observations, ids: Ids, rng: Rng) -> Belief:
-        """New landmarks `ids (m,)`, as crumbs, where the observations (m) point."""
+    def add(self, belief: Belief, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Belief:
+        """New landmarks, as crumbs, where the observations (m) point; ids -1 are passed over."""
         ...
 
     def promote(self, belief: Belief, ids: Ids) -> Belief:
@@ -104,6 +114,10 @@ class Estimator(Protocol[Belief]):
 
     def merge(self, belief: Belief, keep: int, drop: int) -> Belief:
         """Two landmarks are one: the constraint l_keep = l_drop is applied and `drop` forgotten."""
+        ...
+
+    def pose(self, belief: Belief) -> tuple[Array, Array]:
+        """The robot's pose (3,) and its covariance (3, 3), copied."""
         ...
 
     def estimate(self, belief: Belief) -> Estimate: ...

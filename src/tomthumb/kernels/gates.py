@@ -117,3 +117,20 @@ def locate_range_bearing(pose: Array, mount: Array, z: Array) -> tuple[Array, Ar
             u, v = G[i, k, 0], G[i, k, 1]
             G[i, k, 0], G[i, k, 1] = u * cb + v * sb, r * (v * cb - u * sb)
     return points, G_pose, G
+
+
+@jit
+def paired_distances(z: Array, R: Array, z_hat: Array, C: Array, rows: Array, columns: Array, wrapped: Array) -> Array:
+    """d2 of the pairings (rows[k], columns[k]), each by its own innovation covariance."""
+    out = np.empty(rows.shape[0])
+    for k in range(rows.shape[0]):
+        i, j = rows[k], columns[k]
+        u, v = z[i, 0] - z_hat[j, 0], z[i, 1] - z_hat[j, 1]
+        if wrapped[0]:
+            u = (u + math.pi) % (2.0 * math.pi) - math.pi
+        if wrapped[1]:
+            v = (v + math.pi) % (2.0 * math.pi) - math.pi
+        a, d = C[2 * j, 2 * j] + R[i, 0, 0], C[2 * j + 1, 2 * j + 1] + R[i, 1, 1]
+        b = C[2 * j, 2 * j + 1] + R[i, 0, 1]
+        out[k] = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
+    return out

@@ -47,10 +47,9 @@ class RangeBearing:
         """See `protocols.Sensor`."""
         return _in_sector(z_hat[:, 0], z_hat[:, 1], np.sqrt(var), self.min_range, self.max_range, self.fov)
 
-    def density(self, z: Array) -> Array:
-        """See `protocols.Sensor`; uniform over the plane, so it grows with the range."""
-        weighted: Array = self.clutter * np.maximum(z[:, 0], 1e-3)
-        return weighted
+    def scale(self, z: Array) -> Array:
+        """See `protocols.Sensor`: dx dy = r dr db."""
+        return np.maximum(z[:, 0], 1e-3)
 
     def noise(self, z: Array) -> Array:
         """R (m, 2, 2) of observations that bring none."""
@@ -95,9 +94,9 @@ class Cartesian:
         bearing = wrap(np.arctan2(z_hat[:, 1], z_hat[:, 0]) - self.facing)
         return _in_sector(r, bearing, np.column_stack([along, across]), self.min_range, self.max_range, self.fov)
 
-    def density(self, z: Array) -> Array:
+    def scale(self, z: Array) -> Array:
         """See `protocols.Sensor`."""
-        return np.full(len(z), self.clutter)
+        return np.ones(len(z))
 
     def noise(self, z: Array) -> Array:
         """R (m, 2, 2) of observations that bring none."""

@@ -1,0 +1,312 @@
+"""The dense arithmetic of EKF-SLAM on a covariance of which only the lower triangle is kept (column-major).
+
+Rows 0 to 2 are the pose, rows 3 + 2 s and 4 + 2 s landmark slot s. Nothing here reads above the diagonal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tomthumb.kernels.jit import jit
+
+Array = Any
+
+
+@jit
+def at(P: Array, i: int, j: int) -> float:
+    """Element (i, j) of the symmetric matrix whose lower triangle is stored."""
+    return P[i, j] if i >= j else P[j, i]
+
+
+@jit
+def move_pose(P: Array, dim: int, F: Array, Q: Array) -> None:
+    """P_rr = F P_rr F' + Q and P_lr = P_lr F', in place: linear in the number of landmarks."""
+    for i in range(3, dim):
+        a, b, c = P[i, 0], P[i, 1], P[i, 2]
+        P[i, 0] = a * F[0, 0] + b * F[0, 1] + c * F[0, 2]
+        P[i, 1] = a * F[1, 0] + b * F[1, 1] + c * F[1, 2]
+        P[i, 2] = a * F[2, 0] + b * F[2, 1] + c * F[2, 2]
+    rr = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            rr[i, j] = at(P, i, j)
+    new = F @ rr @ F.T
+    for j in range(3):
+        for i in range(j, 3):
+            P[i, j] = 0.5 * (new[i, j] + new[j, i]) + Q[i, j]
+
+
+@jit
+def own_blocks(P: Array, slots: Array, H_pose: Array, H_point: Array) -> Array:
+    """Diagonal blocks (n, 2, 2) of H P H' for the landmarks in `slots`."""
+    n = slots.shape[0]
+    blocks = np.empty((n, 2, 2))
+    G, M = np.empty((2, 5)), np.empty((5, 5))
+    for k in range(n):
+        _local(P, slots[k], M)
+        G[:, :3], G[:, 3:] = H_pose[k], H_point[k]
+        blocks[k] = G @ M @ G.T
+    return blocks
+
+
+@jit
+def _local(P: Array, slot: int, M: Array) -> None:
+    """Covariance (5, 5) of the pose and one landmark, into M."""
+    base = 3 + 2 * slot
+    for a in range(5):
+        i = a if a < 3 else base + a - 3
+        for b in range(5):
+            j = b if b < 3 else base + b - 3
+            M[a, b] = at(P, i, j)
+
+
+@jit
+def project(P: Array, slots: Array, H_pose: Array, H_point: Array) -> tuple[Array, Array]:
+    """H P H' (2n, 2n) with all cross terms, and H P[:, pose] (2n, 3), of the landmarks in `slots`."""
+    n = slots.shape[0]
+    C, cross, back = np.empty((2 * n, 2 * n)), np.empty((2 * n, 3)), np.empty((2, 2))
+    for a in range(n):
+        base = 3 + 2 * slots[a]
+        for u in range(2):
+            for c in range(3):
+                value = H_point[a, u, 0] * P[base, c] + H_point[a, u, 1] * P[base + 1, c]
+                for k in range(3):
+                    value += H_pose[a, u, k] * at(P, k, c)
+                cross[2 * a + u, c] = value
+    for a in range(n):
+        base_a = 3 + 2 * slots[a]
+        for b in range(a + 1):
+            base_b = 3 + 2 * slots[b]
+            for u in range(2):
+                for v in range(2):  # covariance of prediction a with the point of landmark b
+                    value = H_point[a, u, 0] * at(P, base_a, base_b + v) + H_point[a, u, 1] * at(P, base_a + 1, base_b + v)
+                    for k in range(3):
+                        value += H_pose[a, u, k] * P[base_b + v, k]
+                    back[u, v] = value
+            for u in range(2):
+                for v in range(2):
+                    value = back[u, 0] * H_point[b, v, 0] + back[u, 1] * H_point[b, v, 1]
+                    for k in range(3):
+                        value += cross[2 * a + u, k] * H_pose[b, v, k]
+                    C[2 * a + u, 2 * b + v] = value
+                    C[2 * b + v, 2 * a + u] = value
+    return C, cross
+
+
+@jit
+def columns(P: Array, dim: int, slots: Array, H_pose: Array, H_point: Array) -> Array:
+    """P H' (cap, 2k), column-major; rows beyond `dim` are zero so that the whole buffer can go to BLAS."""
+    k, cap = slots.shape[0], P.shape[0]
+    out = np.zeros((2 * k, cap)).T
+    for i in range(k):
+        base = 3 + 2 * slots[i]
+        for u in range(2):
+            column = out[:, 2 * i + u]
+            a, b, c = H_pose[i, u, 0], H_pose[i, u, 1], H_pose[i, u, 2]
+            d, e = H_point[i, u, 0], H_point[i, u, 1]
+            for r in range(3):
+                column[r] = a * at(P, r, 0) + b * at(P, r, 1) + c * at(P, r, 2) + d * P[base, r] + e * P[base + 1, r]
+            for r in range(3, base + 1):
+                column[r] = a * P[r, 0] + b * P[r, 1] + c * P[r, 2] + d * P[base, r] + e * P[base + 1, r]
+            r = base + 1
+            column[r] = a * P[r, 0] + b * P[r, 1] + c * P[r, 2] + d * P[r, base] + e * P[r, r]
+            for r in range(base + 2, dim):
+                column[r] = a * P[r, 0] + b * P[r, 1] + c * P[r, 2] + d * P[r, base] + e * P[r, base + 1]
+    return out
+
+
+@jit
+def innovation_covariance(PHt: Array, slots: Array, H_pose: Array, H_point: Array, R: Array) -> Array:
+    """S (2k, 2k) = H (P H') + R, symmetrised."""
+    k = slots.shape[0]
+    S = np.empty((2 * k, 2 * k))
+    for i in range(k):
+        base = 3 + 2 * slots[i]
+        for u in range(2):
+            for c in range(2 * k):
+                value = H_point[i, u, 0] * PHt[base, c] + H_point[i, u, 1] * PHt[base + 1, c]
+                for r in range(3):
+                    value += H_pose[i, u, r] * PHt[r, c]
+                S[2 * i + u, c] = value
+    S = 0.5 * (S + S.T)
+    for i in range(k):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += 0.5 * (R[i] + R[i].T)
+    return S
+
+
+@jit
+def cholesky(S: Array) -> tuple[bool, Array]:
+    """Lower factor of S, and whether S is positive definite (numba's own would raise instead of telling)."""
+    n = S.shape[0]
+    L = np.zeros((n, n))
+    for j in range(n):
+        pivot = S[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if not pivot > 0.0:
+            return False, L
+        L[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, n):
+            value = S[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            L[i, j] = value / L[j, j]
+    return True, L
+
+
+@jit
+def forward(L: Array, b: Array) -> Array:
+    """L^-1 b for a vector b."""
+    y = b.copy()
+    for i in range(L.shape[0]):
+        for k in range(i):
+            y[i] -= L[i, k] * y[k]
+        y[i] /= L[i, i]
+    return y
+
+
+@jit
+def whiten(PHt: Array, dim: int, L: Array) -> None:
+    """W = P H' L^-T in place: then P - W W' is the updated covariance and W L^-1 nu the state's change."""
+    for j in range(L.shape[0]):
+        target = PHt[:, j]
+        for k in range(j):
+            factor, source = L[j, k], PHt[:, k]
+            for r in range(dim):
+                target[r] -= factor * source[r]
+        scale = 1.0 / L[j, j]
+        for r in range(dim):
+            target[r] *= scale
+
+
+@jit
+def linear_residual(nu: Array, H_pose: Array, H_point: Array, shift_pose: Array, shift_points: Array) -> Array:
+    """nu - H (x0 - x_i), the innovation of the iterated update (2k,)."""
+    k = nu.shape[0]
+    out = np.empty(2 * k)
+    for i in range(k):
+        for u in range(2):
+            value = nu[i, u] - H_point[i, u, 0] * shift_points[i, 0] - H_point[i, u, 1] * shift_points[i, 1]
+            for r in range(3):
+                value -= H_pose[i, u, r] * shift_pose[r]
+            out[2 * i + u] = value
+    return out
+
+
+@jit
+def local_cross(P: Array, dim: int, slots: Array, H_pose: Array, H_point: Array) -> Array:
+    """Rows of P H' for the pose and the landmarks in `slots`: (3 + 2k, 2k), all that an iteration needs."""
+    k = slots.shape[0]
+    rows = np.empty(3 + 2 * k, np.int64)
+    rows[:3] = np.arange(3)
+    for i in range(k):
+        rows[3 + 2 * i], rows[4 + 2 * i] = 3 + 2 * slots[i], 4 + 2 * slots[i]
+    out = np.empty((3 + 2 * k, 2 * k))
+    for a in range(3 + 2 * k):
+        r = rows[a]
+        for i in range(k):
+            base = 3 + 2 * slots[i]
+            p0, p1, p2 = at(P, r, 0), at(P, r, 1), at(P, r, 2)
+            q0, q1 = at(P, r, base), at(P, r, base + 1)
+            for u in range(2):
+                out[a, 2 * i + u] = (
+                    H_pose[i, u, 0] * p0
+                    + H_pose[i, u, 1] * p1
+                    + H_pose[i, u, 2] * p2
+                    + H_point[i, u, 0] * q0
+                    + H_point[i, u, 1] * q1
+                )
+    return out
+
+
+@jit
+def gain_step(local: Array, slots: Array, H_pose: Array, H_point: Array, R: Array, residual: Array) -> tuple[bool, Array, float]:
+    """One Gauss-Newton step in the space of the pose and the observed landmarks: change (3 + 2k,), and NIS."""
+    k = slots.shape[0]
+    S = innovation_covariance(local, np.arange(k), H_pose, H_point, R)
+    good, L = cholesky(S)
+    if not good:
+        return False, np.zeros(local.shape[0]), np.nan
+    y = forward(L, residual)
+    nis = 0.0
+    for i in range(y.shape[0]):
+        nis += y[i] * y[i]
+    for i in range(y.shape[0] - 1, -1, -1):
+        for j in range(i + 1, y.shape[0]):
+            y[i] -= L[j, i] * y[j]
+        y[i] /= L[i, i]
+    return True, local @ y, nis
+
+
+@jit
+def consider(P: Array, x: Array, dim: int, slot: int, PHt: Array, S: Array, nu: Array) -> bool:
+    """Schmidt's update of one crumb: its own rows learn, the pose and the stones are only considered.
+
+    P_co -= K (H P)_o, P_cc -= K S K', with K = P_c H' S^-1: the Joseph form of a gain that is zero elsewhere.
+    """
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    if not det > 0.0:
+        return False
+    base = 3 + 2 * slot
+    K = np.empty((2, 2))
+    for a in range(2):
+        p, q = PHt[base + a, 0], PHt[base + a, 1]
+        K[a, 0] = (p * S[1, 1] - q * S[1, 0]) / det
+        K[a, 1] = (q * S[0, 0] - p * S[0, 1]) / det
+    KS = K @ S @ K.T
+    for a in range(2):
+        x[base + a] += K[a, 0] * nu[0] + K[a, 1] * nu[1]
+        for r in range(base):
+            P[base + a, r] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
+        for r in range(base + 2, dim):
+            P[r, base + a] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
+    P[base, base] -= KS[0, 0]
+    P[base + 1, base] -= 0.5 * (KS[1, 0] + KS[0, 1])
+    P[base + 1, base + 1] -= KS[1, 1]
+    return True
+
+
+@jit
+def append(P: Array, dim: int, G_pose: Array, noise: Array) -> None:
+    """New landmarks behind row `dim`: covariance G P_r. with everything before, and G P_rr G' + noise of their own."""
+    for i in range(G_pose.shape[0]):
+        base = dim + 2 * i
+        for u in range(2):
+            for r in range(base):
+                P[base + u, r] = G_pose[i, u, 0] * at(P, r, 0) + G_pose[i, u, 1] * at(P, r, 1) + G_pose[i, u, 2] * at(P, r, 2)
+        own = np.empty((2, 2))
+        for u in range(2):
+            for v in range(2):
+                value = 0.5 * (noise[i, u, v] + noise[i, v, u])
+                for k in range(3):
+                    value += P[base + u, k] * G_pose[i, v, k]
+                own[u, v] = value
+        P[base, base], P[base + 1, base + 1] = own[0, 0], own[1, 1]
+        P[base + 1, base] = 0.5 * (own[0, 1] + own[1, 0])
+
+
+@jit
+def remove(P: Array, x: Array, dim: int, slot: int) -> None:
+    """Slot `slot` is given the last landmark's rows; the caller shortens `dim` by 2."""
+    last, base = dim - 2, 3 + 2 * slot
+    if last != base:
+        for u in range(2):
+            x[base + u] = x[last + u]
+            for r in range(base):
+                P[base + u, r] = P[last + u, r]
+            for r in range(base + 2, last):
+                P[r, base + u] = P[last + u, r]
+        P[base, base], P[base + 1, base], P[base + 1, base + 1] = P[last, last], P[last + 1, last], P[last + 1, last + 1]
+    P[last : last + 2, : last + 2] = 0.0
+
+
+@jit
+def healthy(P: Array, x: Array, dim: int) -> bool:
+    """Every state finite and every variance positive or zero."""
+    for i in range(dim):
+        if not (P[i, i] >= 0.0 and P[i, i] < 1e12 and abs(x[i]) < 1e12):
+            return False
+    return True

@@ -1,0 +1,182 @@
+"""Birth, trial, confirmation, ambiguity, merging and death of landmarks: one policy for every associator.
+
+A *crumb* is a tentative landmark: the filter carries it as a considered state that never moves the pose. Static hits make
+it a *stone*; too few hits for its opportunities end it. The existence of a landmark is (hits + 1/2) / (opportunities + 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from tomthumb.types import Array, Ids, Mask, Predictions
+
+
+@dataclass(frozen=True, slots=True)
+class LifeCycle:
+    """The policy's numbers; each has its reason in docs/lifecycle.md.
+
+    hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
+    `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
+    gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
+    purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
+    in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
+    reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
+    """
+
+    hits: int = 5
+    few: int = 2
+    anchors: int = 3
+    patience: int = 100
+    gate: float = 0.99
+    apart: float = 0.9999
+    purge: float = 0.35
+    trial: int = 8
+    in_view: float = 0.9
+    merge: bool = True
+    reference: bool = False
+
+    def faithful(self) -> LifeCycle:
+        """The reference program's policy: landmarks at once, one gate, nothing merged, nothing forgotten."""
+        return replace(self, hits=1, gate=0.99, apart=0.99, merge=False, reference=True)
+
+
+@dataclass(slots=True)
+class Life:
+    """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks."""
+
+    seen: int
+    hits: int = 1
+    chances: float = 1.0
+    static: int = 1
+    companions: set[int] = field(default_factory=set)
+    label: int = -1
+
+    @property
+    def exist(self) -> float:
+        """Probability that there is such a landmark."""
+        return (self.hits + 0.5) / (self.chances + 1.0)
+
+
+Ledger = dict[int, Life]
+
+
+def copy_ledger(ledger: Ledger) -> Ledger:
+    """A copy that shares nothing that changes."""
+    return {i: replace(life, companions=set(life.companions)) for i, life in ledger.items()}
+
+
+def with_existence(predictions: Predictions, ledger: Ledger) -> Predictions:
+    """The predictions, told how likely each landmark is to exist, and its label."""
+    exist = np.array([ledger[int(i)].exist for i in predictions.ids])
+    labels = np.array([ledger[int(i)].label for i in predictions.ids], np.int64)
+    return replace(predictions, exist=exist, labels=labels if (labels >= 0).any() else predictions.labels)
+
+
+def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: int, policy: LifeCycle) -> None:
+    """Landmarks that were seen, with the squared distance of each sighting."""
+    gate2 = chdtri(2, 1.0 - policy.gate)
+    for i, distance in zip(ids, d2, strict=True):
+        life = ledger[i]
+        life.hits += 1
+        life.chances += 1.0
+        life.seen = scan
+        life.static += distance < gate2
+
+
+def record_misses(ledger: Ledger, predictions: Predictions, seen: set[int], detect: float, policy: LifeCycle) -> None:
+    """Landmarks well inside the field of view that were not seen."""
+    chance = predictions.visible if predictions.visible is not None else np.ones(len(predictions))
+    for i in predictions.ids[chance > policy.in_view * detect]:
+        if int(i) not in seen:
+            ledger[int(i)].chances += 1.0
+
+
+def record_companions(ledger: Ledger, ids: list[int]) -> None:
+    """Landmarks of one scan are different landmarks."""
+    for i in ids:
+        ledger[i].companions.update(ids)
+
+
+def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
+    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
+    wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
+    wanted = 1 if first else wanted
+    ready = [i for i in crumbs if ledger[i].static >= wanted and 2 * ledger[i].static > ledger[i].hits]
+    return np.array(ready, np.int64)
+
+
+def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: int, policy: LifeCycle) -> Ids:
+    """Stones that ought to have been seen, and crumbs that faded."""
+    if policy.reference:
+        return np.empty(0, np.int64)
+    gone = [i for i in stones if ledger[i].chances >= policy.trial and ledger[i].exist < policy.purge]
+    gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
+    return np.array(gone, np.int64)
+
+
+def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:
+    """Observations (m,) that no landmark still free explains: d2 (m, n) after the update, taken (n,) landmarks.
+
+    The rest is ambiguous: too near to a known landmark to be new, not near enough to be it; it is left out.
+    """
+    gate2 = chdtri(2, 1.0 - policy.apart)
+    free = np.ones_like(taken) if policy.reference else ~taken
+    new: Mask = ~(d2[:, free] < gate2).any(1) if d2.shape[1] else np.ones(len(d2), bool)
+    return new
+
+
+def duplicates(ledger: Ledger, predictions: Predictions, seen: set[int], policy: LifeCycle) -> list[tuple[int, int]]:
+    """Pairs (keep, drop) of stones that are jointly compatible with being one, never seen together, one seen now.
+
+    Compatible: the difference of the two predictions passes the gate of its own covariance (cross terms included).
+    It must mean something too: the gate's area may hold at most a twentieth of a landmark at the scan's own density.
+    """
+    if not policy.merge or predictions.stone is None or len(predictions) < 2:
+        return []
+    gate2 = chdtri(2, 1.0 - policy.gate)
+    found, used = [], set[int]()
+    for a, b in _near_pairs(predictions, seen):
+        i, j = int(predictions.ids[a]), int(predictions.ids[b])
+        if j in ledger[i].companions or i in used or j in used:
+            continue
+        difference = predictions.z_hat[a] - predictions.z_hat[b]
+        S = _relative(predictions.cov, a, b)
+        det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+        if det <= 0.0 or difference @ np.linalg.solve(S, difference) >= gate2:
+            continue
+        if np.pi * gate2 * np.sqrt(det) * _density(predictions) < 0.05:
+            found.append((min(i, j), max(i, j)))
+            used.update((i, j))
+    return found
+
+
+def _near_pairs(predictions: Predictions, seen: set[int]) -> list[tuple[int, int]]:
+    """Pairs of stones, one of them seen in this scan and the other not, nearest first in z, within 5 sigma by each component."""
+    stones = np.flatnonzero(predictions.stone) if predictions.stone is not None else np.empty(0, np.int64)
+    mask = np.array([int(i) in seen for i in predictions.ids[stones]], bool)
+    hit, missed = stones[mask], stones[~mask]
+    if not len(hit) or not len(missed):
+        return []
+    gap = np.abs(predictions.z_hat[hit][:, None] - predictions.z_hat[missed][None])
+    var = np.diag(predictions.cov).reshape(-1, 2)
+    limit = 5.0 * (np.sqrt(np.maximum(var[hit], 0.0))[:, None] + np.sqrt(np.maximum(var[missed], 0.0))[None]) + 1e-9
+    close = np.argwhere((gap < limit).all(2))
+    order = np.argsort(gap[close[:, 0], close[:, 1]].sum(1), kind="stable")
+    return [(int(hit[a]), int(missed[b])) for a, b in close[order]]
+
+
+def _relative(cov: Array, a: int, b: int) -> Array:
+    """Covariance of prediction a minus prediction b."""
+    i, j = slice(2 * a, 2 * a + 2), slice(2 * b, 2 * b + 2)
+    S: Array = cov[i, i] + cov[j, j] - cov[i, j] - cov[j, i]
+    return S
+
+
+def _density(predictions: Predictions) -> float:
+    """Landmarks per unit of z around here: their number over the box they fill."""
+    span = np.ptp(predictions.z_hat, axis=0)
+    return len(predictions) / max(float(span[0] * span[1]), 1e-9)

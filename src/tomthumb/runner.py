@@ -1,0 +1,158 @@
+"""One run: a scenario, an associator and an estimator in, a `Trace` out. Nothing computed is lost when a filter diverges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from tomthumb.errors import UnknownName
+from tomthumb.lifecycle import LifeCycle
+from tomthumb.slam import Branch, Slam
+from tomthumb.types import Array, Ids, Scenario, StepRecord, Trace
+
+Settings = Mapping[str, Mapping[str, Any]]
+
+
+def run(
+    scenario: Scenario,
+    *,
+    associator: Any = "stt",
+    estimator: Any = "ekf",
+    seed: int = 0,
+    settings: Settings | None = None,
+    start_map: Any = None,
+    progress: Callable[[StepRecord], None] | None = None,
+) -> Trace:
+    """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
+
+    `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
+    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in. Raises `TomThumbError`.
+    """
+    slam = prepare(scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map)
+    records = []
+    for record in slam.stream(scenario.steps):
+        records.append(record)
+        if progress is not None:
+            progress(record)
+    return collect(scenario.name, slam, records)
+
+
+def prepare(
+    scenario: Scenario,
+    *,
+    associator: Any = "stt",
+    estimator: Any = "ekf",
+    seed: int = 0,
+    settings: Settings | None = None,
+    start_map: Any = None,
+) -> Slam:
+    """A `Slam` ready for the scenario's steps: parts built by name, teacher hired, map loaded, random streams apart."""
+    chosen: dict[str, dict[str, Any]] = {"associator": {}, "estimator": {}, "slam": {}}
+    for part, values in (settings or {}).items():
+        if part not in chosen:
+            raise UnknownName("group of settings", part, chosen)
+        chosen[part].update(values)
+    policy, width = _policy(chosen["slam"])
+    truth = scenario.true_ids() if associator == "oracle" or scenario.teach_steps else None
+    teacher = _oracle(truth) if scenario.teach_steps and truth is not None else None
+    built = _oracle(truth) if associator == "oracle" and truth is not None else _build("associator", associator, chosen)
+    seeds = np.random.SeedSequence([seed, 7]).spawn(2)
+    slam = Slam(
+        scenario.motion, scenario.sensor, scenario.prior, built,
+        _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
+        policy=policy, width=width or getattr(built, "width", 1), teacher=teacher, teach_steps=scenario.teach_steps,
+        rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
+    )  # fmt: skip
+    if start_map is not None:
+        slam.load(start_map)
+    return slam
+
+
+def _oracle(truth: Ids | None) -> Any:
+    from tomthumb.associators.oracle import Oracle
+
+    assert truth is not None
+    return Oracle(truth)
+
+
+def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **given: Any) -> Any:
+    from tomthumb import registry
+
+    return registry.build(kind, name, chosen[kind], **given) if isinstance(name, str) else name
+
+
+def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
+    """The life cycle and the number of branches from `slam.` settings."""
+    known = [f.name for f in fields(LifeCycle)] + ["width", "faithful"]
+    for key in values:
+        if key not in known:
+            raise UnknownName("setting of slam", key, known)
+    rest = {k: v for k, v in values.items() if k not in ("width", "faithful")}
+    policy = LifeCycle(**rest)
+    return (policy.faithful() if values.get("faithful") else policy), values.get("width")
+
+
+def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
+    """The records stacked, with what later merging and revision made of them."""
+    best = slam.branches[0]
+    died, merged = _events(best)
+    final_ids, final_pose = _history(best, len(records))
+    return Trace(
+        scenario=name,
+        t=np.array([r.t for r in records]),
+        pose=np.array([r.pose for r in records]).reshape(-1, 3),
+        pose_cov=np.array([r.pose_cov for r in records]).reshape(-1, 3, 3),
+        offsets=np.concatenate([[0], np.cumsum([len(r.ids) for r in records])]).astype(np.int64),
+        ids=_joined([r.ids for r in records], np.int64),
+        paired=_joined([r.paired for r in records], bool),
+        with_stone=_joined([r.with_stone for r in records], bool),
+        seconds=np.array([r.seconds for r in records]).reshape(-1, 4),
+        nis=np.array([r.nis for r in records]),
+        dof=np.array([r.dof for r in records], np.int64),
+        died=died,
+        merged=merged,
+        final=slam.estimate(),
+        failure=slam.failure,
+        final_ids=_survivors(final_ids, merged),
+        final_pose=final_pose,
+    )
+
+
+def _joined(parts: list[Any], dtype: Any) -> Any:
+    return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
+
+
+def _events(branch: Branch) -> tuple[Ids, Ids]:
+    died, merged, node = [], [], branch.events
+    while node is not None:
+        node, kind, one, other, step = node
+        if kind == "died":
+            died.append((one, step))
+        else:
+            merged.append((one, other, step))
+    return np.array(died[::-1], np.int64).reshape(-1, 2), np.array(merged[::-1], np.int64).reshape(-1, 3)
+
+
+def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
+    """Ids and poses of the best branch's own past, which may differ from what was given out at the time."""
+    ids, poses, node = [], [], branch.history
+    while node is not None and len(poses) < steps:
+        node, step_ids, pose = node
+        ids.append(step_ids)
+        poses.append(pose)
+    return _joined(ids[::-1], np.int64), np.array(poses[::-1]).reshape(-1, 3)
+
+
+def _survivors(ids: Ids, merged: Ids) -> Ids:
+    """Every id mapped to the landmark it ended up in."""
+    into: dict[int, int] = {}
+    for drop, keep, _ in merged.tolist():
+        into[drop] = keep
+    def last(i: int) -> int:
+        while i in into:
+            i = into[i]
+        return i
+    return np.array([last(i) for i in ids.tolist()], np.int64)

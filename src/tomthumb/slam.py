@@ -1,0 +1,355 @@
+"""The loop: predict, expect, associate, name, update, births and deaths. It knows protocols only.
+
+`Slam.step` is the online form; `Slam.stream` is that in a loop over a scenario. Up to `width` branches (belief, ledger,
+log weight) live side by side: with one it is the classical filter, with eight Tom and his seven brothers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from tomthumb import lifecycle
+from tomthumb.errors import Diverged, TomThumbError
+from tomthumb.kernels.gates import innovations
+from tomthumb.lifecycle import Ledger, Life, LifeCycle
+from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.types import (
+    Array,
+    Association,
+    AssociationProblem,
+    Control,
+    Estimate,
+    Ids,
+    Observations,
+    Predictions,
+    Prior,
+    Step,
+    StepRecord,
+)
+
+EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+@dataclass(slots=True)
+class Branch:
+    """One history of associations: its belief, what its landmarks have lived through, and how likely it is."""
+
+    belief: Any
+    ledger: Ledger
+    crumbs: set[int] = field(default_factory=set)
+    log_weight: float = 0.0
+    history: tuple[Any, Ids, Array] | None = None  # (earlier history, ids, pose): shared between branches
+    ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
+    paired: Ids = field(default_factory=lambda: np.empty(0, np.int64))
+    events: tuple[Any, str, int, int, int] | None = None  # (earlier events, kind, id, other id, step)
+
+
+@dataclass(slots=True)
+class Clutter:
+    """Running estimate of the density of unexplained observations, per m2 and scan: starts at `prior`, worth `weight` scans."""
+
+    area: float
+    prior: float = 0.3
+    weight: float = 5.0
+    scans: float = 0.0
+    count: float = 0.0
+
+    @property
+    def density(self) -> float:
+        """Observations that nothing explained, per m2 and scan."""
+        return (self.prior * self.weight + self.count / self.area) / (self.weight + self.scans)
+
+
+class Slam:
+    """Landmark SLAM with any associator and any estimator.
+
+    `teacher`, where given, names the observations of the first `teach_steps` steps; the associator looks on and learns.
+    Raises `TomThumbError` for input that cannot be (NaN, a covariance that is not positive definite, time running back)
+    and `Diverged` when the filter is lost; `stream` turns the latter into `failure`.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        prior: Prior,
+        associator: Associator,
+        estimator: Estimator[Any],
+        *,
+        policy: LifeCycle | None = None,
+        width: int = 1,
+        teacher: Associator | None = None,
+        teach_steps: int = 0,
+        rng: tuple[Rng, Rng] | None = None,
+    ) -> None:
+        self.motion, self.sensor = motion, sensor
+        self.associator, self.estimator = associator, estimator
+        self.policy, self.width = policy or LifeCycle(), width
+        self.teacher, self.teach_steps = teacher, teach_steps
+        self.rng_estimator, self.rng_associator = rng or (np.random.default_rng(1), np.random.default_rng(2))
+        self.branches = [Branch(estimator.init(prior.pose, prior.cov, self.rng_estimator), {})]
+        self.clutter = Clutter(_area(sensor))
+        self.t, self.index, self.scan, self.serial = -math.inf, 0, 0, 0
+        self.last_control: Control | None = None
+        self.failure: str | None = None
+
+    def stream(self, steps: Iterable[Step]) -> Iterator[StepRecord]:
+        """Every step's record; ends early, with `failure` set, when the filter diverges."""
+        for step in steps:
+            try:
+                yield self.step(step.t, step.control, step.observations)
+            except Diverged as reason:
+                self.failure = f"{reason} at step {self.index}, t = {step.t:g} s"
+                return
+
+    def step(self, t: float, control: Control | None, observations: Observations | None) -> StepRecord:
+        """Move to time `t` s by `control`, then take in the scan made there. Either may be None.
+
+        A scan without a control, later than the last reading, is predicted to its time by holding the last control.
+        """
+        begin = perf_counter()
+        seen = observations or EMPTY
+        _check_step(self.index, t, self.t, control, seen)
+        for branch in self.branches:
+            self._predict(branch, t, control)
+        self.t = t
+        predicted = perf_counter()
+        serials = np.arange(self.serial, self.serial + len(seen))
+        self.serial += len(seen)
+        spent, infos = self._take_in(seen, serials) if observations is not None else (0.0, {})
+        record = self._record(t, serials, (begin, predicted, spent), infos)
+        self.index += 1
+        self.scan += observations is not None
+        return record
+
+    def estimate(self) -> Estimate:
+        """What the best branch says now."""
+        return self.estimator.estimate(self.branches[0].belief)
+
+    # --- prediction -------------------------------------------------------------------------------------------------
+
+    def _predict(self, branch: Branch, t: float, control: Control | None) -> None:
+        """Controls cover the `dt` that ends at t; what a held control has already covered is not moved twice."""
+        if control is None:
+            if self.last_control is None or not self.motion.rates or t <= self.t:
+                return
+            held = replace(self.last_control, dt=t - self.t)
+            branch.belief = self.estimator.predict(branch.belief, held, self.rng_estimator)
+            return
+        self.last_control = control
+        left = t - self.t
+        if self.motion.rates and 0.0 < left < control.dt * (1.0 - 1e-9):
+            control = replace(control, dt=left)
+        if control.dt > 0.0 or not self.motion.rates:
+            branch.belief = self.estimator.predict(branch.belief, control, self.rng_estimator)
+
+    # --- association ------------------------------------------------------------------------------------------------
+
+    def _take_in(self, seen: Observations, serials: Ids) -> tuple[float, dict[str, Any]]:
+        begin = perf_counter()
+        children = [child for branch in self.branches for child in self._children(branch, seen, serials)]
+        children.sort(key=lambda c: -c[0].log_weight)
+        children = children[: self.width]
+        top = children[0][0].log_weight
+        spent = perf_counter() - begin
+        for branch, predictions, matches, _ in children:
+            branch.log_weight -= top
+            self._settle(branch, seen, serials, predictions, matches)
+        self.branches = [c[0] for c in children]
+        return spent, children[0][3]
+
+    def _children(self, branch: Branch, seen: Observations, serials: Ids) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
+        """The branch with each hypothesis of its associator. Many predictions (particles) take the best one each."""
+        every = [lifecycle.with_existence(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        found = [self._ask(p, seen, serials) for p in every]
+        if len(every) > 1 or len(found[0]) == 1:
+            branch.log_weight += found[0][0].log_weight
+            return [(branch, every, [f[0].match for f in found], dict(found[0][0].info))]
+        out = []
+        for k, hypothesis in enumerate(found[0][: self.width]):
+            child = branch if k == 0 else self._fork(branch)
+            out.append((child, every, [hypothesis.match], dict(hypothesis.info), hypothesis.log_weight))
+        for child, *_, weight in out:
+            child.log_weight += weight
+        return [item[:4] for item in out]
+
+    def _fork(self, branch: Branch) -> Branch:
+        belief, ledger = self.estimator.fork(branch.belief), lifecycle.copy_ledger(branch.ledger)
+        return replace(branch, belief=belief, ledger=ledger, crumbs=set(branch.crumbs))
+
+    def _ask(self, predictions: Predictions, seen: Observations, serials: Ids) -> Sequence[Association]:
+        teaching = self.teacher is not None and self.index < self.teach_steps
+        who = self.teacher if teaching and self.teacher is not None else self.associator
+        return who.associate(self.problem(predictions, seen, serials), self.rng_associator)
+
+    def problem(self, predictions: Predictions, seen: Observations, serials: Ids) -> AssociationProblem:
+        """The scan against one set of predictions, as associators are given it."""
+        nu = innovations(seen.z, predictions.z_hat, _wrapped(self.sensor))
+        density = (self.sensor.clutter + self.clutter.density) * self.sensor.scale(seen.z)
+        return AssociationProblem(
+            seen.z, seen.R, nu, predictions, density, serials, self.sensor.angles, seen.labels, seen.signature, self.t
+        )
+
+    # --- naming, update, life cycle ---------------------------------------------------------------------------------
+
+    def _settle(self, branch: Branch, seen: Observations, serials: Ids, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
+        """Names, update, evidence, promotions, deaths, births, merging, for one branch."""
+        named = [np.where(m >= 0, p.ids[m], -1) if len(p) else m for p, m in zip(every, matches, strict=True)]
+        branch.belief = self.estimator.update(branch.belief, seen, named, self.rng_estimator)
+        ids, predictions = named[0], every[0]
+        hit = ids >= 0
+        self._evidence(branch, predictions, matches[0], seen, ids)
+        born = self._births(branch, seen, serials, named)
+        self._promote(branch, ids[hit].tolist() + serials[born].tolist())
+        self._bury(branch, predictions)
+        if self.policy.merge and hit.any():
+            self._merge(branch, predictions, set(ids[hit].tolist()))
+        self.clutter.count += float(np.count_nonzero(~hit))
+        self.clutter.scans += 1.0
+        branch.paired = ids
+        branch.ids = np.where(born, serials, ids)
+        who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None
+        if who is None or who is not self.associator:
+            self.associator.learn(branch.ids, self.t)
+
+    def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, seen: Observations, ids: Ids) -> None:
+        rows = np.flatnonzero(ids >= 0)
+        paired = ids[rows].tolist()
+        d2 = _pair_distances(predictions, seen, match, rows, _wrapped(self.sensor))
+        lifecycle.record_hits(branch.ledger, paired, d2, self.scan, self.policy)
+        lifecycle.record_misses(branch.ledger, predictions, set(paired), self.sensor.detect, self.policy)
+        lifecycle.record_companions(branch.ledger, paired)
+        if seen.labels is not None:
+            for i, label in zip(paired, seen.labels[rows].tolist(), strict=True):
+                branch.ledger[i].label = label if label >= 0 else branch.ledger[i].label
+
+    def _births(self, branch: Branch, seen: Observations, serials: Ids, named: Sequence[Ids]) -> Any:
+        """Observations that found a crumb, (m,) bool for the first particle; others only where theirs are free too."""
+        born = np.zeros(len(seen), bool)
+        if (named[0] >= 0).all() and len(named) == 1:
+            return born
+        fresh = self.estimator.expect(branch.belief)
+        founded = []
+        for predictions, ids in zip(fresh, named, strict=True):
+            rows = np.flatnonzero(ids < 0)
+            loose = self.problem(predictions, seen.take(rows), serials[rows])
+            taken = np.isin(predictions.ids, ids[ids >= 0])
+            new = np.full(len(seen), -1, np.int64)
+            new[rows[lifecycle.may_be_born(loose.d2, taken, self.policy)]] = 1
+            founded.append(np.where(new > 0, serials, -1))
+        branch.belief = self.estimator.add(branch.belief, seen, founded, self.rng_estimator)
+        anywhere = np.max(founded, axis=0) >= 0
+        for row in np.flatnonzero(anywhere):
+            label = -1 if seen.labels is None else int(seen.labels[row])
+            branch.ledger[int(serials[row])] = Life(self.scan, label=label)
+            branch.crumbs.add(int(serials[row]))
+        return founded[0] >= 0
+
+    def _promote(self, branch: Branch, candidates: list[int]) -> None:
+        crumbs = [i for i in candidates if i in branch.crumbs]
+        first = len(branch.crumbs) == len(branch.ledger)
+        ready = lifecycle.promotions(branch.ledger, crumbs, len(candidates) - len(crumbs), first, self.policy)
+        if len(ready):
+            branch.belief = self.estimator.promote(branch.belief, ready)
+            branch.crumbs.difference_update(ready.tolist())
+
+    def _bury(self, branch: Branch, predictions: Predictions) -> None:
+        expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
+        gone = lifecycle.deaths(branch.ledger, expected, branch.crumbs, self.scan, self.policy)
+        if len(gone):
+            branch.belief = self.estimator.forget(branch.belief, gone)
+            branch.crumbs.difference_update(gone.tolist())
+        for i in gone.tolist():
+            del branch.ledger[i]
+            branch.events = (branch.events, "died", i, -1, self.index)
+
+    def _merge(self, branch: Branch, predictions: Predictions, hit: set[int]) -> None:
+        for keep, drop in lifecycle.duplicates(branch.ledger, predictions, hit, self.policy):
+            if keep in branch.ledger and drop in branch.ledger:
+                self.unite(branch, keep, drop)
+
+    def unite(self, branch: Branch, keep: int, drop: int) -> None:
+        """Two stones of a branch become one; the survivor inherits hits and companions."""
+        branch.belief = self.estimator.merge(branch.belief, keep, drop)
+        lost, life = branch.ledger.pop(drop), branch.ledger[keep]
+        life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
+        life.companions |= lost.companions
+        life.seen = max(life.seen, lost.seen)
+        branch.events = (branch.events, "merged", drop, keep, self.index)
+
+    def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:
+        best = self.branches[0]
+        if not len(serials):
+            best.ids = best.paired = np.empty(0, np.int64)
+        estimate = self.estimator.pose(best.belief)
+        for branch in self.branches:
+            branch.history = (branch.history, branch.ids, estimate[0] if branch is best else self.estimator.pose(branch.belief)[0])
+        stats = self.estimator.stats(best.belief) if len(serials) else {"nis": 0.0, "dof": 0}
+        begin, predicted, spent = clock
+        end = perf_counter()
+        seconds = (predicted - begin, spent, end - predicted - spent, 0.0)
+        stone = (best.paired >= 0) & ~np.isin(best.paired, list(best.crumbs))
+        return StepRecord(
+            self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
+            float(stats["nis"]), int(stats["dof"]), len(best.ledger), info,
+        )  # fmt: skip
+
+
+def _area(sensor: Sensor) -> float:
+    """Plane in view, m2; a sensor without limit of range is given 10 m, since only the order of magnitude matters."""
+    reach = sensor.max_range if math.isfinite(sensor.max_range) else 10.0
+    return 0.5 * sensor.fov * reach * reach
+
+
+def _wrapped(sensor: Sensor) -> Array:
+    flags: Any = np.zeros(2, bool)
+    flags[list(sensor.angles)] = True
+    return flags
+
+
+def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Array) -> list[float]:
+    """d2 of each pairing at the prior."""
+    if not len(rows):
+        return []
+    from tomthumb.kernels.gates import paired_distances
+
+    return paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped).tolist()
+
+
+def _check_step(index: int, t: float, last: float, control: Control | None, seen: Observations) -> None:
+    """Everything that cannot be, said in one line. Raises `TomThumbError`."""
+    if not math.isfinite(t):
+        raise TomThumbError(f"step {index}: the time is {t}; it must be finite")
+    if t < last:
+        raise TomThumbError(f"step {index}: time runs back from {last:g} s to {t:g} s")
+    if control is not None and not (np.isfinite(control.u).all() and math.isfinite(control.dt) and control.dt >= 0):
+        raise TomThumbError(f"step {index}: the control {control.u} over {control.dt} s must be finite, its time not negative")
+    if control is not None and control.cov is not None and not _positive(control.cov, semi=True):
+        raise TomThumbError(f"step {index}: the control's covariance is not positive semi-definite")
+    check_observations(seen, f"step {index}")
+
+
+def check_observations(seen: Observations, where: str) -> None:
+    """Shapes, finite values, positive definite noise. Raises `TomThumbError`."""
+    m = len(seen.z)
+    if seen.z.shape != (m, 2) or seen.R.shape != (m, 2, 2):
+        raise TomThumbError(f"{where}: z {seen.z.shape} and R {seen.R.shape} must be (m, 2) and (m, 2, 2)")
+    if not np.isfinite(seen.z).all():
+        raise TomThumbError(f"{where}: observation {int(np.argwhere(~np.isfinite(seen.z))[0, 0])} is not finite")
+    a, b, c, d = seen.R[:, 0, 0], seen.R[:, 0, 1], seen.R[:, 1, 0], seen.R[:, 1, 1]
+    good = (a > 0) & (a * d - b * c > 0) & (np.abs(b - c) <= 1e-9 * (a + d))
+    if not good.all():
+        raise TomThumbError(f"{where}: the covariance of observation {int(np.argmin(good))} is not positive definite")
+
+
+def _positive(matrix: Array, semi: bool = False) -> bool:
+    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+        return False
+    low = float(np.linalg.eigvalsh(matrix)[0])
+    return low >= -1e-12 * float(np.trace(matrix)) if semi else low > 0.0
