@@ -106,7 +106,7 @@ def simulated_tom_thumb(
         rng: the only source of chance.
         rules: what the figure leaves open.
         chunk: most moves in one event of the search (steps 17 and 22); it changes how often the tale is told, not how
-            it goes, unless palaces move.
+            it goes.
 
     Raises:
         TomThumbError: boots or rules that do not fit this forest, or a chunk below 1.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from tomthumb.errors import TomThumbError
+from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.kernels.forest import CLIP, REFLECT, TORUS
 from tomthumb.tale.stdp import Plasticity
 
@@ -92,3 +93,31 @@ class Rules:
         for rule, kept in checks.items():
             if not kept:
                 raise TomThumbError(f"forest rules: {rule}")
+
+
+def rules_from(settings: Mapping[str, object]) -> Rules:
+    """Rules from plain values by name, as a command line or a file gives them; `plasticity = false` turns learning off.
+
+    Raises:
+        UnknownName: no such rule. TomThumbError: a value of the wrong kind.
+    """
+    known = {f.name: f for f in fields(Rules)}
+    values: dict[str, object] = {}
+    for name, value in settings.items():
+        if name not in known:
+            raise UnknownName("forest rule", name, known)
+        values[name] = _checked(name, value, str(known[name].type))
+    return Rules(**values)  # type: ignore[arg-type]
+
+
+def _checked(name: str, value: object, declared: str) -> object:
+    """The value if it is of the declared kind; whole numbers serve as numbers."""
+    if name == "plasticity":
+        if not isinstance(value, bool):
+            raise TomThumbError(f"forest rule plasticity is true or false here, not {value!r}")
+        return Plasticity() if value else None
+    kinds: dict[str, tuple[type, ...]] = {"float": (int, float), "int": (int,), "bool": (bool,), "Literal": (str,)}
+    wanted = next(types for kind, types in kinds.items() if declared.startswith(kind))
+    if not isinstance(value, wanted) or (isinstance(value, bool) and bool not in wanted):
+        raise TomThumbError(f"forest rule {name} is a {declared}, not {value!r}")
+    return value
