@@ -243,7 +243,11 @@ def _potentiate_and_depress(walk: _Walk, steps: Array, rates: _Rates, fresh: boo
     weights = np.where(rates.weights >= 0.0, rates.weights, rates.weights * n / norms)
     lost = 0.0 if fresh else rates.c_one * rates.c_path * (2.0 - rates.c_path)
     forget = 1.0 + lost - rates.c_one - rates.c_mu * rates.weights.sum()
-    C = forget * walk.C + rates.c_one * np.outer(walk.path_way, walk.path_way) + rates.c_mu * (steps.T * weights) @ steps
+    C = (
+        forget * walk.C
+        + rates.c_one * np.outer(walk.path_way, walk.path_way)
+        + rates.c_mu * (steps.T * weights) @ steps
+    )
     walk.C = 0.5 * (C + C.T)
     # finding the axes costs n^3: seldom enough to stay below the cost of the children
     if walk.age % max(1, int(1.0 / (10.0 * n * (rates.c_one + rates.c_mu)))) == 0:
@@ -256,7 +260,7 @@ def _disappeared(walk: _Walk, history: list[float], values: Array, patience: int
     if walk.sigma * walk.D.max() < 1e-12 or walk.D.max() > 1e7 * walk.D.min() or walk.sigma > 1e3:
         return True
     recent = history[-patience:]
-    if len(recent) == patience and max(recent) - min(recent) <= 1e-12 * max(1e-300, abs(min(recent))) + 1e-14:
+    if len(recent) == patience and max(recent) - min(recent) <= min(1e-11, 1e-9 * (history[0] - min(history))):
         return True
     if values.max() == values.min() and len(history) > patience:
         return True
@@ -292,7 +296,9 @@ def _box(bounds: Sequence[tuple[float, float]] | Array) -> tuple[Array, Array]:
     if box.ndim != 2 or box.shape[1] != 2 or not len(box) or not np.isfinite(box).all():
         raise TomThumbError("bounds are finite (low, high) pairs, one for each coordinate")
     if not (box[:, 0] < box[:, 1]).all():
-        raise TomThumbError(f"in bounds each low is below its high; coordinate {int(np.argmax(box[:, 0] >= box[:, 1]))} is not")
+        raise TomThumbError(
+            f"in bounds each low is below its high; coordinate {int(np.argmax(box[:, 0] >= box[:, 1]))} is not"
+        )
     return box[:, 0].copy(), box[:, 1].copy()
 
 
