@@ -1,0 +1,66 @@
+"""The change of coordinates that keeps the right-invariant error's covariance through an update (see estimators.ekf)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tomthumb.kernels.jit import jit
+
+Array = Any
+
+
+@jit
+def turned(change: Array, first: int) -> Array:
+    """v (dim,): position and landmarks from row `first` on, each turned by 90 deg; 0 for the heading and other states."""
+    v = np.zeros(change.shape[0])
+    v[0], v[1] = -change[1], change[0]
+    for r in range(first, change.shape[0], 2):
+        v[r], v[r + 1] = -change[r + 1], change[r]
+    return v
+
+
+@jit
+def heading_column(P: Array, W: Array) -> Array:
+    """The heading's column of P - W W' (dim,)."""
+    dim, k = W.shape
+    h = np.empty(dim)
+    for r in range(dim):
+        h[r] = P[r, 2] if r >= 2 else P[2, r]
+    for j in range(k):
+        weight = W[2, j]
+        for r in range(dim):
+            h[r] -= weight * W[r, j]
+    return h
+
+
+@jit
+def rebase_factors(W: Array, v: Array, h: Array) -> tuple[Array, Array]:
+    """A, B (dim, 2k + 2) with P - A B' = (I + v e') (P - W W') (I + v e')', e the heading's unit vector.
+
+    (P - W W') + v a' + a v', where a = h + v / 2 times the heading's variance and h its column of P - W W'.
+    """
+    dim, k = W.shape
+    A, B = np.empty((k + 2, dim)).T, np.empty((k + 2, dim)).T
+    half = 0.5 * h[2]
+    for j in range(k):
+        A[:, j] = W[:, j]
+        B[:, j] = W[:, j]
+    for r in range(dim):
+        a = h[r] + half * v[r]
+        A[r, k], B[r, k] = -v[r], a
+        A[r, k + 1], B[r, k + 1] = -a, v[r]
+    return A, B
+
+
+@jit
+def turn_jacobian(H_pose: Array, H_point: Array, moved_pose: Array, moved_points: Array) -> None:
+    """The heading's column of a Jacobian at x0 + moved, in the coordinates of the invariant error at x0.
+
+    H(x) T(x) T(x0)^-1 with T = I + J x e': J times how far position and landmark are from x0 is added through them.
+    """
+    for i in range(H_pose.shape[0]):
+        for u in range(2):
+            H_pose[i, u, 2] += H_pose[i, u, 1] * moved_pose[0] - H_pose[i, u, 0] * moved_pose[1]
+            H_pose[i, u, 2] += H_point[i, u, 1] * moved_points[i, 0] - H_point[i, u, 0] * moved_points[i, 1]
