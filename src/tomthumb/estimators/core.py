@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from tomthumb import geometry
 from tomthumb.errors import Diverged
-from tomthumb.estimators.gaussian import Gaussian, attach, empty, make_room, symmetric
+from tomthumb.estimators.gaussian import Gaussian, attach, empty, make_room
 from tomthumb.kernels import ekf as kernel
 from tomthumb.kernels import invariant, storage
 from tomthumb.kernels.blas import subtract_lower
@@ -42,7 +42,7 @@ class Core:
     def begin(self, pose: Array, cov: Array) -> Gaussian:
         """A belief without landmarks; calibration states in its first slots, an odd one beside a constant."""
         b = empty(np.asarray(pose, float), np.asarray(cov, float))
-        for k in range(0, len(self.calibrate), 2):
+        for _ in range(0, len(self.calibrate), 2):
             b.ids.append(CALIBRATION)
             b.stone.append(True)
         b.hidden = len(b.ids)
@@ -67,9 +67,7 @@ class Core:
 
     def calibration(self, b: Gaussian) -> dict[str, tuple[float, float]]:
         """Values and standard deviations of the calibration states."""
-        return {
-            name: (float(b.x[3 + k]), float(np.sqrt(b.P[3 + k, 3 + k]))) for k, name in enumerate(self.calibrate)
-        }
+        return {name: (float(b.x[3 + k]), float(np.sqrt(b.P[3 + k, 3 + k]))) for k, name in enumerate(self.calibrate)}
 
     # --- expectation --------------------------------------------------------------------------------------------------
 
@@ -88,7 +86,7 @@ class Core:
         stone = np.array([b.stone[s] for s in names], bool)
         frame = expect_cartesian(seen_from, NOWHERE, points[keep])[0]
         visible = chance[keep] * self.sensor.detect
-        return Predictions(ids, z_hat[keep], C, symmetric(b.P[:3, :3]), cross, frame, None, visible, stone)
+        return Predictions(ids, z_hat[keep], C, storage.pose_block(b.P), cross, frame, None, visible, stone)
 
     # --- update -------------------------------------------------------------------------------------------------------
 
@@ -218,7 +216,8 @@ class Core:
     def _constrain(self, b: Gaussian, i: int, j: int) -> None:
         """The observation l_i - l_j = 0, exact but for 1e-6 m of standard deviation.
 
-        Where it holds, the invariant Jacobian knows no heading; so seen from the prior it has -J (l_i - l_j) there.
+        Where it holds, the invariant Jacobian knows no heading; so seen from the prior it has -J gap there, and the
+        converged residual r = -gap - J gap e' K r follows from two linear equations.
         """
         one, by_pose = np.eye(2)[None], np.zeros((1, 2, 3))
         gap = b.landmarks()[i] - b.landmarks()[j]
@@ -232,7 +231,9 @@ class Core:
         if b.transfer is not None:
             T = b.transfer.T
             HT = T[3 + 2 * i : 5 + 2 * i] - T[3 + 2 * j : 5 + 2 * j] + by_pose[0] @ T[:3]
-        self._apply(b, W, 0.5 * (S + S.T) + 1e-12 * np.eye(2), -gap, HT)
+        S = 0.5 * (S + S.T) + 1e-12 * np.eye(2)
+        residual = np.linalg.solve(np.eye(2) - np.outer(by_pose[0, :, 2], np.linalg.solve(S, W[2])), -gap)
+        self._apply(b, W, S, residual, HT)
 
 
 def _carry(b: Gaussian, W: Array, Y: Array) -> None:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from tomthumb.errors import TomThumbError
 from tomthumb.estimators import gaussian, local
 from tomthumb.estimators.core import Core
 from tomthumb.estimators.local import Atlas
+from tomthumb.kernels import storage
 from tomthumb.protocols import Motion, Rng, Sensor
 from tomthumb.types import Array, Control, Estimate, Ids, Observations, Predictions
 
@@ -45,8 +46,8 @@ class EKF:
     `invariant`: right-invariant error. `iterations` at most; `fixed` runs exactly that many. `faithful`: the reference
     program's filter, four fixed iterations with the usual error. `outliers`: pairings whose own d2 passes this
     chi-square probability are left out of the update (0: none are). `local`: maps of more landmarks are worked on by
-    regions that reach `margin` times the sensor's range beyond it (0: never). `calibrate` names systematic errors of the
-    odometry that are estimated as states (`models.calibration`), with prior standard deviations `calibrate_std`.
+    regions that reach `margin` times the sensor's range beyond it (0: never). `calibrate` names systematic errors of
+    the odometry that are estimated as states (`models.calibration`), with prior standard deviations `calibrate_std`.
     Raises `TomThumbError` for settings that cannot be.
     """
 
@@ -129,7 +130,7 @@ class EKF:
     def pose(self, belief: Atlas) -> tuple[Array, Array]:
         """See `protocols.Estimator`."""
         active = belief.active
-        return active.pose.copy(), gaussian.symmetric(active.P[:3, :3])
+        return active.pose.copy(), storage.pose_block(active.P)
 
     def estimate(self, belief: Atlas) -> Estimate:
         """See `protocols.Estimator`."""
@@ -145,9 +146,8 @@ class EKF:
         return belief.active.stats
 
 
-def InvariantEKF(motion: Motion, sensor: Sensor, **settings: Any) -> EKF:
-    """`EKF` with the right-invariant error; the settings are the same."""
-    return EKF(motion, sensor, **{"invariant": True, **settings})
+InvariantEKF = partial(EKF, invariant=True)
+"""`EKF` with the right-invariant error; the settings are the same."""
 
 
 def _check(e: EKF) -> None:

@@ -110,12 +110,6 @@ def detach(b: Gaussian, i: int) -> None:
         b.ids[slot], b.stone[slot], b.slot[last_id] = last_id, last_stone, slot
 
 
-def symmetric(lower: Array) -> Array:
-    """A full matrix from one whose lower triangle is right."""
-    low: Array = np.tril(lower)
-    return low + np.tril(lower, -1).T
-
-
 def estimate(b: Gaussian) -> Estimate:
     """See `protocols.Estimator`."""
     slots = np.arange(b.hidden, len(b.ids))
@@ -124,4 +118,4 @@ def estimate(b: Gaussian) -> Estimate:
     covs = np.stack([np.stack([P[k, k], P[k + 1, k]], -1), np.stack([P[k + 1, k], P[k + 1, k + 1]], -1)], -2)
     stone: Mask = np.array(b.stone, bool)[slots]
     ids: Ids = np.array(b.ids, np.int64)[slots]
-    return Estimate(b.pose.copy(), symmetric(P[:3, :3]), ids, b.landmarks()[slots].copy(), covs, stone)
+    return Estimate(b.pose.copy(), storage.pose_block(P), ids, b.landmarks()[slots].copy(), covs, stone)

@@ -1,7 +1,7 @@
 """Work on one region of a large map, exactly: while the robot is among A's landmarks the rest, B, is left alone.
 
-All that a step among A does to B is linear in what B was when A was taken out: with G = P_BA of that moment and J a turn
-of every landmark by 90 deg (the invariant filter's change of coordinates needs it), P_BA = [G JG] T', P_BB gains
+All that a step among A does to B is linear in what B was when A was taken out: with G = P_BA of that moment and J a
+turn of every landmark by 90 deg (the invariant filter's change of coordinates needs it), P_BA = [G JG] T', P_BB gains
 [G JG] Psi [G JG]' and x_B gains [G JG] theta. T, Psi and theta have the size of A. They are applied when the robot
 leaves, so that a step costs the same on any map. Nothing is approximated.
 
@@ -129,7 +129,8 @@ def _influence(whole: Gaussian, rows: Ids, width: int) -> Array:
     """[G] or [G, JG] (dim, width) with zero rows for what is worked on."""
     G = storage.gather_columns(whole.P, whole.dim, rows)
     G[rows] = 0.0
-    return G if width == len(rows) else storage.add_turned(G, 3 + 2 * whole.hidden)
+    turned: Array = G if width == len(rows) else storage.add_turned(G, 3 + 2 * whole.hidden)
+    return turned
 
 
 def _tidy(a: Atlas, home: Ids) -> None:

@@ -23,7 +23,7 @@ def at(P: Array, i: int, j: int) -> float:
 
 @jit
 def move_pose(P: Array, dim: int, F: Array, C: Array, Q: Array) -> None:
-    """P_rr = [F C] P_(r,c)(r,c) [F C]' + Q and P_.r = P_.r F' + P_.c C', in place, c the first states behind the pose."""
+    """P_rr = [F C] P_(r,c)(r,c) [F C]' + Q and P_.r = P_.r F' + P_.c C', c the first states behind the pose."""
     c = C.shape[1]
     D = np.empty((3, 3 + c))
     D[:, :3], D[:, 3:] = F, C
@@ -115,7 +115,9 @@ def project(P: Array, slots: Array, H_pose: Array, H_point: Array) -> tuple[Arra
             base_b = 3 + 2 * slots[b]
             for u in range(2):
                 for v in range(2):  # covariance of prediction a with the point of landmark b
-                    value = H_point[a, u, 0] * at(P, base_a, base_b + v) + H_point[a, u, 1] * at(P, base_a + 1, base_b + v)
+                    value = H_point[a, u, 0] * at(P, base_a, base_b + v) + H_point[a, u, 1] * at(
+                        P, base_a + 1, base_b + v
+                    )
                     for k in range(3):
                         value += H_pose[a, u, k] * P[base_b + v, k]
                     back[u, v] = value

@@ -1,4 +1,4 @@
-"""The change of coordinates that keeps the right-invariant error's covariance through an update (see estimators.ekf)."""
+"""The change of coordinates that keeps the right-invariant error's covariance through an update (estimators.ekf)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = Any
 
 @jit
 def turned(change: Array, first: int) -> Array:
-    """v (dim,): position and landmarks from row `first` on, each turned by 90 deg; 0 for the heading and other states."""
+    """v (dim,): the position, and landmarks from row `first` on, turned by 90 deg; 0 for the heading and the rest."""
     v = np.zeros(change.shape[0])
     v[0], v[1] = -change[1], change[0]
     for r in range(first, change.shape[0], 2):

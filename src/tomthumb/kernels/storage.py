@@ -18,6 +18,16 @@ def at(P: Array, i: int, j: int) -> float:
 
 
 @jit
+def pose_block(P: Array) -> Array:
+    """The pose's covariance (3, 3), whole."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = at(P, i, j)
+    return out
+
+
+@jit
 def copy_lower(source: Array, target: Array, dim: int) -> None:
     """The lower triangle in use, and nothing else."""
     for j in range(dim):
@@ -31,7 +41,9 @@ def append(P: Array, dim: int, G_pose: Array, noise: Array) -> None:
         base = dim + 2 * i
         for u in range(2):
             for r in range(base):
-                P[base + u, r] = G_pose[i, u, 0] * at(P, r, 0) + G_pose[i, u, 1] * at(P, r, 1) + G_pose[i, u, 2] * at(P, r, 2)
+                P[base + u, r] = (
+                    G_pose[i, u, 0] * at(P, r, 0) + G_pose[i, u, 1] * at(P, r, 1) + G_pose[i, u, 2] * at(P, r, 2)
+                )
         own = np.empty((2, 2))
         for u in range(2):
             for v in range(2):
@@ -54,17 +66,21 @@ def remove(P: Array, x: Array, dim: int, slot: int) -> None:
                 P[base + u, r] = P[last + u, r]
             for r in range(base + 2, last):
                 P[r, base + u] = P[last + u, r]
-        P[base, base], P[base + 1, base], P[base + 1, base + 1] = P[last, last], P[last + 1, last], P[last + 1, last + 1]
+        P[base, base], P[base + 1, base], P[base + 1, base + 1] = (
+            P[last, last],
+            P[last + 1, last],
+            P[last + 1, last + 1],
+        )
     P[last : last + 2, : last + 2] = 0.0
 
 
 @jit
 def healthy(P: Array, x: Array, dim: int) -> bool:
     """Every state finite and every variance positive or zero."""
+    good = True
     for i in range(dim):
-        if not (P[i, i] >= 0.0 and P[i, i] < 1e12 and abs(x[i]) < 1e12):
-            return False
-    return True
+        good &= P[i, i] >= 0.0 and P[i, i] < 1e12 and abs(x[i]) < 1e12
+    return good
 
 
 @jit
@@ -90,7 +106,7 @@ def gather_block(P: Array, rows: Array, out: Array) -> None:
 
 @jit
 def scatter(P: Array, rows: Array, block: Array, others: Array, cross: Array) -> None:
-    """Lower triangle of `block` written to the rows and columns `rows` (a,) of P, and cross (dim, a) to rows `others`."""
+    """Lower triangle of `block` to the rows and columns `rows` (a,) of P, and cross (dim, a) to the rows `others`."""
     for k in range(rows.shape[0]):
         i = rows[k]
         for l in range(k + 1):

@@ -78,5 +78,3 @@ def sensitivity(motion: Motion, control: Control, names: Sequence[str], values: 
 def _increment(motion: Motion, control: Control, names: Sequence[str], values: Array) -> Any:
     model, reading = corrected(motion, control, names, values)
     return model.increment(reading)
-
-
