@@ -1,4 +1,4 @@
-"""FastSLAM: its Gaussians against plain linear algebra, its shared maps against their bookkeeping, its draws by statistics."""
+"""FastSLAM: Gaussians against plain linear algebra, shared maps by their bookkeeping, draws by statistics."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_pages_are_counted_and_shared():
 
 
 def test_what_one_particle_writes_the_others_do_not_see():
-    fast, belief, _, rng = grown(particles=4)
+    _fast, belief, _, _rng = grown(particles=4)
     m = belief.maps
     m.table = kernel.inherit(np.zeros(4, np.int64), m.table, m.uses, m.free)
     slots = np.full((4, 1), -1)
@@ -239,7 +239,7 @@ def test_a_stone_that_should_be_seen_and_is_not_counts_against_a_particle():
 
 
 def test_merged_landmarks_are_fused_where_both_are_known():
-    fast, belief, _, rng = grown(particles=3)
+    fast, belief, _, _rng = grown(particles=3)
     m = belief.maps
     a, b = sorted(m.slot)[:2]
     cov = [m.cov[m.table[0, m.slot[i] // pages.SIZE], m.slot[i] % pages.SIZE].copy() for i in (a, b)]

@@ -10,10 +10,10 @@ from scipy.special import chdtri
 
 from tomthumb import geometry
 from tomthumb.errors import Diverged
-from tomthumb.estimators.gaussian import Gaussian, attach, empty, make_room
+from tomthumb.estimators.gaussian import Gaussian, Transfer, attach, empty, make_room
 from tomthumb.kernels import ekf as kernel
 from tomthumb.kernels import invariant, storage
-from tomthumb.kernels.blas import subtract_lower
+from tomthumb.kernels.blas import subtract, subtract_lower
 from tomthumb.kernels.gates import expect_cartesian
 from tomthumb.models.calibration import sensitivity
 from tomthumb.protocols import Motion, Sensor
@@ -132,18 +132,14 @@ class Core:
         change = W @ y
         b.x[: b.dim] += change
         b.x[2] = geometry.wrap_angle(b.x[2])
-        if b.transfer is not None:
-            kernel.forward_rows(L, HT)
-            _carry(b, W, HT)
+        v = h = None
         if self.invariant:
             v, h = invariant.turned(change, 3 + 2 * b.hidden), invariant.heading_column(b.P, W)
-            if b.transfer is not None:
-                _carry_turn(b, HT.T @ y, v, h)
-            subtract_lower(b.P, b.dim, *invariant.rebase_factors(W, v, h))
-        else:
-            subtract_lower(b.P, b.dim, W, W)
         if b.transfer is not None:
-            b.transfer.theta += HT.T @ y
+            kernel.forward_rows(L, HT)
+            _carry(b.transfer, b.dim, W, HT.T, y, v, h)
+        A, B = (W, W) if v is None or h is None else invariant.rebase_factors(W, v, h, h[2])
+        subtract_lower(b.P, b.dim, A, B)
 
     def _linearise(self, b: Gaussian, z: Array, R: Array, slots: Ids) -> tuple[Array, Array, Array]:
         """Jacobians at the converged state, and the residual that leads there from the prior (Gauss-Newton)."""
@@ -236,24 +232,22 @@ class Core:
         self._apply(b, W, S, residual, HT)
 
 
-def _carry(b: Gaussian, W: Array, Y: Array) -> None:
-    """An update, passed on to the rest of the map: P_AB -= W_A W_B' and P_BB -= W_B W_B' with W_B = [G JG] Y'."""
-    t = b.transfer
-    assert t is not None
-    t.T[: b.dim] -= W @ Y
-    t.Psi -= Y.T @ Y
+def _carry(t: Transfer, dim: int, W: Array, Y: Array, y: Array, v: Array | None, h: Array | None) -> None:
+    """An update, passed on to the rest of the map: P_AB -= W_A W_B', P_BB -= W_B W_B', x_B += W_B y, W_B = [G JG] Y.
 
-
-def _carry_turn(b: Gaussian, s: Array, v: Array, h: Array) -> None:
-    """The change of coordinates, passed on: v_B = J x (change of the rest) = [G JG] w; h is the heading's column."""
-    t = b.transfer
-    assert t is not None
-    half = len(s) // 2
-    w = np.concatenate([-s[half:], s[:half]])
-    f = t.T[2].copy()
-    t.Psi += np.outer(w, f) + np.outer(f, w) + h[2] * np.outer(w, w)
-    t.T[: b.dim] += np.outer(h, w)
-    t.T[: b.dim] += np.outer(v, t.T[2])
+    With the invariant error its coordinates change too, by v_B = J W_B y = [G JG] w; h is the heading's column.
+    """
+    change = Y @ y
+    t.theta += change
+    if v is None or h is None:
+        subtract(t.T, dim, W, Y)
+        subtract_lower(t.Psi, len(t.Psi), Y, Y)
+        return
+    half = len(change) // 2
+    w = np.concatenate([-change[half:], change[:half]])
+    f = t.T[2] - Y @ W[2]
+    subtract(t.T, dim, *invariant.carry_factors(W, v, h, Y, w, f))
+    subtract_lower(t.Psi, len(t.Psi), *invariant.rebase_factors(Y, w, f, h[2]))
 
 
 def _check_health(b: Gaussian) -> None:

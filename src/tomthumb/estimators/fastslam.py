@@ -1,9 +1,10 @@
-"""FastSLAM 2.0: particles for the pose, and for each a map of independent small Gaussians; who is who is decided by each.
+"""FastSLAM 2.0: particles for the pose, and for each a map of independent small Gaussians and its own association.
 
-Between scans a particle's pose is a Gaussian (mean, covariance) that the odometry moves; the scan sharpens it, a pose is
-drawn from it, the particle is weighed by the likelihood of the scan before the drawing, and the landmarks are updated at
-the drawn pose. With `version` 1 the pose is drawn from the odometry alone. Pairings with crumbs update the crumb and
-count as unexplained, so they neither move nor weigh the particle. Stones in view that were not seen count against it.
+Between scans a particle's pose is a Gaussian (mean, covariance) that the odometry moves; the scan sharpens it, a pose
+is drawn from it, the particle is weighed by the likelihood of the scan before the drawing, and the landmarks are
+updated at the drawn pose. With `version` 1 the pose is drawn from the odometry alone. Pairings with crumbs update the
+crumb and count as unexplained, so they neither move nor weigh the particle. Stones in view that were not seen count
+against it.
 
 Particles are resampled before the next motion, so that ids given for each particle fit from `expect` to `add`; the
 heaviest is always the first.
@@ -304,7 +305,7 @@ class FastSLAM:
         return mean, cov
 
     def estimate(self, belief: Particles) -> Estimate:
-        """See `protocols.Estimator`: landmarks of the heaviest particle, means and covariances over all that hold them."""
+        """See `protocols.Estimator`: the heaviest particle's landmarks, averaged over all particles that hold them."""
         m, w = belief.maps, belief.weights()
         best = int(w.argmax())
         slots = np.flatnonzero(m.live)
@@ -350,7 +351,7 @@ def _expect(sensor: Sensor, points: Array) -> tuple[Array, Array]:
 
 
 def _of_each(pose: Array, slots: Ids, m: Pages) -> tuple[Array, Array]:
-    """Landmarks `slots` (M, m) in each robot's frame: points (M, m, 2), covariances (M, m, 2, 2); -1 gives a stand-in."""
+    """Landmarks `slots` (M, m; -1 gives a stand-in) in each robot's frame: points, covariances (M, m, 2, 2)."""
     some = np.unique(slots[slots >= 0])
     points, spread, _ = kernel.to_body(pose, some, m.table, m.mean, m.cov, m.has)
     column = np.minimum(np.searchsorted(some, np.maximum(slots, 0)), len(some) - 1)

@@ -19,7 +19,8 @@ class Transfer:
 
     The rest's cross-covariance is P_AB = T [G J G]', its covariance P_BB + [G J G] Psi [G J G]', its mean
     x_B + [G J G] theta, with G = P_BA at the beginning and J a turn of every landmark by 90 deg. T (a, w) has room to
-    grow in its rows; w is the size of A at the beginning, doubled where J is needed (invariant filter).
+    grow in its rows; of Psi the lower triangle is kept; w is the size of A at the beginning, doubled where J is needed
+    (invariant filter).
     """
 
     T: Array
@@ -71,7 +72,7 @@ def copy(b: Gaussian) -> Gaussian:
     P = np.zeros(b.P.shape, order="F")
     storage.copy_lower(b.P, P, b.dim)
     t = b.transfer
-    transfer = None if t is None else Transfer(t.T.copy(), t.Psi.copy(order="F"), t.theta.copy())
+    transfer = None if t is None else Transfer(t.T.copy(order="F"), t.Psi.copy(order="F"), t.theta.copy())
     return Gaussian(b.x.copy(), P, b.ids.copy(), b.stone.copy(), b.slot.copy(), dict(b.stats), b.hidden, transfer)
 
 
@@ -79,7 +80,7 @@ def make_room(b: Gaussian, count: int) -> None:
     """Buffers that hold `count` more landmarks. They grow by a half: memory never touched is never taken."""
     need = b.dim + 2 * count
     if b.transfer is not None and need > len(b.transfer.T):
-        T = np.zeros((need + 2 * GROWTH, b.transfer.T.shape[1]))
+        T = np.zeros((need + 2 * GROWTH, b.transfer.T.shape[1]), order="F")
         T[: b.dim] = b.transfer.T[: b.dim]
         b.transfer.T = T
     if need <= len(b.x):

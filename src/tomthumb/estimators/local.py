@@ -89,7 +89,7 @@ def enter(a: Atlas, slots: Ids, turned: bool) -> None:
     rows = _rows(a.taken)
     m = len(rows)
     room = m + 2 * gaussian.GROWTH
-    x, P, T = np.zeros(room), np.zeros((room, room), order="F"), np.zeros((room, 2 * m if turned else m))
+    x, P, T = np.zeros(room), np.zeros((room, room), order="F"), np.zeros((room, 2 * m if turned else m), order="F")
     x[:m] = whole.x[rows]
     storage.gather_block(whole.P, rows, P)
     T[:m, :m] = np.eye(m)
@@ -112,7 +112,8 @@ def leave(a: Atlas) -> None:
     U = _influence(whole, _rows(a.taken), len(t.theta))
     inside = np.zeros(dim, bool)
     inside[_rows(a.taken)] = True
-    subtract_lower(whole.P, dim, np.asfortranarray(U @ -t.Psi), U)
+    Psi = np.tril(t.Psi) + np.tril(t.Psi, -1).T
+    subtract_lower(whole.P, dim, np.asfortranarray(U @ -Psi), U)
     whole.x[:dim] += U @ t.theta
     cross = np.asfortranarray(U @ t.T[: work.dim].T)
     fresh = [i for i in work.ids[work.hidden :] if i not in whole.slot]

@@ -14,8 +14,9 @@ SIZE = kernel.SIZE
 
 @dataclass(slots=True)
 class Pages:
-    """`table (M, T)` page of each particle and column, -1 none; `mean (Q, SIZE, 2)`, `cov (Q, SIZE, 3)` (xx, xy, yy) and
-    `has (Q, SIZE)` by page; `uses (Q,)` owners; `free`: count, then free pages. By slot: `live`, `stone`, `box`, `ids`."""
+    """`table (M, T)`: page of each particle and column, -1 none. By page: `mean (Q, SIZE, 2)`, `cov (Q, SIZE, 3)` as xx,
+    xy, yy, `has (Q, SIZE)`, owners `uses (Q,)`; `free`: count, then free pages. By slot: `live`, `stone`, `box`, `ids`.
+    """
 
     table: Ids
     mean: Array
@@ -33,11 +34,10 @@ class Pages:
 
 def empty(particles: int) -> Pages:
     """No landmarks, no pages."""
-    none = np.empty(0, bool)
-    return Pages(
-        np.full((particles, 0), -1, np.int64), np.empty((0, SIZE, 2)), np.empty((0, SIZE, 3)), np.empty((0, SIZE), bool),
-        np.empty(0, np.int64), np.zeros(1, np.int64), none, none, np.empty((0, 4)), np.empty(0, np.int64),
-    )  # fmt: skip
+    none, nobody = np.empty(0, bool), np.empty(0, np.int64)
+    mean, cov, has = np.empty((0, SIZE, 2)), np.empty((0, SIZE, 3)), np.empty((0, SIZE), bool)
+    table = np.full((particles, 0), -1, np.int64)
+    return Pages(table, mean, cov, has, nobody, np.zeros(1, np.int64), none, none, np.empty((0, 4)), nobody)
 
 
 def copy(m: Pages) -> Pages:

@@ -36,16 +36,24 @@ def subtract_lower(P: Any, dim: int, A: Any, B: Any) -> None:
 
     A B' must be symmetric. Elements above the diagonal within a panel's own square are written too: they hold nothing.
     """
-    for M in (P, A, B):
-        if M.strides[0] != _DOUBLE or M.dtype != np.float64 or len(M) < dim:
-            raise ValueError("column-major float64 matrices with at least `dim` rows are wanted")
+    for j in range(0, dim, PANEL):
+        _subtract(P, A, B, j, j, dim - j, min(PANEL, dim - j))
+
+
+def subtract(C: Any, rows: int, A: Any, B: Any) -> None:
+    """C[:rows] -= A[:rows] B' in place, all of them column-major."""
+    _subtract(C, A, B, 0, 0, rows, C.shape[1])
+
+
+def _subtract(C: Any, A: Any, B: Any, i: int, j: int, rows: int, columns: int) -> None:
+    """The block of `rows` by `columns` at (i, j) of C, less that of A B'."""
+    for M, need in ((C, i + rows), (A, i + rows), (B, j + columns)):
+        if M.strides[0] != _DOUBLE or M.dtype != np.float64 or len(M) < need:
+            raise ValueError("column-major float64 matrices with enough rows are wanted")
     if A.shape[1] == 0:
         return
-    ld = [ctypes.c_int(max(M.strides[1] // _DOUBLE, 1)) for M in (A, B, P)]
-    at = [M.ctypes.data for M in (A, B, P)]
-    inner, ref, call = ctypes.c_int(A.shape[1]), ctypes.byref, _dgemm()
-    for j in range(0, dim, PANEL):
-        rows, columns = ctypes.c_int(dim - j), ctypes.c_int(min(PANEL, dim - j))
-        here = [at[0] + _DOUBLE * j, at[1] + _DOUBLE * j, at[2] + _DOUBLE * (j + j * ld[2].value)]
-        call(b"N", b"T", ref(rows), ref(columns), ref(inner), ref(_MINUS), here[0], ref(ld[0]), here[1], ref(ld[1]),
-             ref(_ONE), here[2], ref(ld[2]))  # fmt: skip
+    ref, c_int = ctypes.byref, ctypes.c_int
+    lda, ldb, ldc = (max(M.strides[1] // _DOUBLE, 1) for M in (A, B, C))
+    a, b, c = A.ctypes.data + _DOUBLE * i, B.ctypes.data + _DOUBLE * j, C.ctypes.data + _DOUBLE * (i + j * ldc)
+    _dgemm()(b"N", b"T", ref(c_int(rows)), ref(c_int(columns)), ref(c_int(A.shape[1])), ref(_MINUS), a, ref(c_int(lda)),
+             b, ref(c_int(ldb)), ref(_ONE), c, ref(c_int(ldc)))  # fmt: skip

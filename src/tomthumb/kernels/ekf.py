@@ -16,7 +16,7 @@ Array = Any
 
 
 @jit
-def at(P: Array, i: int, j: int) -> float:
+def at(P: Array, i: int, j: int) -> Any:
     """Element (i, j) of the symmetric matrix whose lower triangle is stored."""
     return P[i, j] if i >= j else P[j, i]
 

@@ -1,8 +1,8 @@
 """FastSLAM's arithmetic over all particles at once; maps are pages of landmarks shared until one of the owners writes.
 
 Particle p keeps landmark slot s in page table[p, s // SIZE] at place s % SIZE. A page's `uses` counts its owners. The
-geometry is done in the robot's frame: point b = R'(l - p), so that one call of the sensor at pose 0 serves all particles;
-a small motion (e, a) of the robot in its own frame moves b by -e - J b a.
+geometry is done in the robot's frame, point b = R'(l - p), so that one call of the sensor at pose 0 serves all
+particles; a small motion (e, a) of the robot in its own frame moves b by -e - J b a.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ def sample(pose: Array, shift: Array, cov: Array, normal: Array) -> None:
 
 
 @jit
-def _own_page(p: int, column: int, table: Array, mean: Array, cov: Array, has: Array, uses: Array, free: Array) -> int:
+def _own_page(p: int, column: int, table: Array, mean: Array, cov: Array, has: Array, uses: Array, free: Array) -> Any:
     """The page as particle p's own: a shared one is copied first. free[0] counts the free pages listed behind it."""
     page = table[p, column]
     if page >= 0 and uses[page] == 1:

@@ -36,21 +36,36 @@ def heading_column(P: Array, W: Array) -> Array:
 
 
 @jit
-def rebase_factors(W: Array, v: Array, h: Array) -> tuple[Array, Array]:
-    """A, B (dim, 2k + 2) with P - A B' = (I + v e') (P - W W') (I + v e')', e the heading's unit vector.
+def rebase_factors(W: Array, v: Array, h: Array, variance: float) -> tuple[Array, Array]:
+    """A, B (dim, k + 2) with P - A B' = (I + v e') (P - W W') (I + v e')', e the heading's unit vector.
 
     (P - W W') + v a' + a v', where a = h + v / 2 times the heading's variance and h its column of P - W W'.
     """
     dim, k = W.shape
     A, B = np.empty((k + 2, dim)).T, np.empty((k + 2, dim)).T
-    half = 0.5 * h[2]
     for j in range(k):
         A[:, j] = W[:, j]
         B[:, j] = W[:, j]
     for r in range(dim):
-        a = h[r] + half * v[r]
+        a = h[r] + 0.5 * variance * v[r]
         A[r, k], B[r, k] = -v[r], a
         A[r, k + 1], B[r, k + 1] = -a, v[r]
+    return A, B
+
+
+@jit
+def carry_factors(W: Array, v: Array, h: Array, Y: Array, w: Array, f: Array) -> tuple[Array, Array]:
+    """A (dim, k + 2), B (width, k + 2) with T - A B' = (I + v e') (T - W Y' + h w'): rows of [W -h -v] and [Y w g].
+
+    f (width,) is the heading's row of T - W Y'; g = f + h_e w what it is once the rest has turned.
+    """
+    dim, k = W.shape
+    A, B = np.empty((k + 2, dim)).T, np.empty((k + 2, w.shape[0])).T
+    for j in range(k):
+        A[:, j] = W[:, j]
+        B[:, j] = Y[:, j]
+    A[:, k], A[:, k + 1] = -h, -v
+    B[:, k], B[:, k + 1] = w, f + h[2] * w
     return A, B
 
 
