@@ -1,0 +1,224 @@
+"""Simulated Tom Thumb names the landmarks: the joint posterior, searched by the family.
+
+    0  window      candidates of each observation
+    1  quick path  a scan without ambiguity is done at once (branch and bound then takes one node an observation)
+    2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
+    3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
+    4  ogre: a basin that lost is not entered again;  boots: stagnation makes the ruins larger
+    5  certificate: branch and bound from the incumbent within a budget: "optimal" (award INFINITY), or "truncated"
+    6  ambiguity: hypotheses within a few nats live on as brothers
+
+The decision is not the single most probable hypothesis but the most probable partner of each observation, over all
+hypotheses met: that is what maximises the expected number of right decisions, and it gives each its confidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.kernels import flights, posterior
+from tomthumb.protocols import Rng
+from tomthumb.tale.levy import power_law
+from tomthumb.types import Array, Association, AssociationProblem, Ids
+
+
+@dataclass(frozen=True, slots=True)
+class Basin:
+    """One pose basin: its best hypothesis, L, and the gains of all listed pairings given the others."""
+
+    match: Ids
+    value: float
+    gains: Array
+    window: Window
+
+
+@dataclass(slots=True)
+class TomThumb:
+    """The STT associator. Every number's reason is in docs/stt.md.
+
+    gates: the first chooses the pose basin, the second completes it once two pairs are accepted. nodes: budget of the
+    certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
+    budgets. brothers: hypotheses returned at most, `ambiguity` nats: how far behind the best they may be.
+    least: a pairing less probable than this is left unpaired.
+    """
+
+    gates: tuple[float, float] = (0.99, 1.0 - 1e-6)
+    nodes: int = 2000
+    flights: int = 60
+    patience: int = 15
+    exponent: float = 1.5
+    anchors: int = 15
+    basins: int = 12
+    poses: int = 200_000
+    brothers: int = 1
+    ambiguity: float = 3.0
+    least: float = 0.0
+    decide: str = "marginal"
+    parts: dict[str, bool] = field(default_factory=dict)
+
+    def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
+        """See `protocols.Associator`."""
+        m, n = problem.shape
+        if m == 0 or n == 0:
+            return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
+        base, odds = base_gains(problem, None)
+        near = window(problem.d2, self.gates[1])
+        scene = rigid(problem, base, odds) if self._is_hard(near) else None
+        if scene is not None:
+            found, info = self._anchored(scene, near)
+        else:
+            found, info = self._within(problem, near, base[:, None] + odds[None], rng)
+        return self._decided(found, n, info)
+
+    def learn(self, ids: Ids, t: float) -> None:
+        """Nothing yet."""
+
+    def _is_hard(self, near: Window) -> bool:
+        """More than one candidate for most observations: pose basins matter."""
+        return len(near.counts) >= 3 and float(near.counts.mean()) > 1.5
+
+    # --- 2: anchored flights ------------------------------------------------------------------------------------
+
+    def _anchored(self, s: Rigid, near: Window) -> tuple[list[Basin], dict[str, Any]]:
+        """Poses from anchors, refined; one basin for each distinct pose."""
+        noise = s.R + s.D.mean(0)
+        pairs, tolerance = anchor_pairs(s.q, near.counts, noise, self.anchors)
+        spread = 3.0 * noise  # an anchor's pose is itself uncertain by about the noise of two observations
+        inverse = np.linalg.inv(spread)
+        packed = np.ascontiguousarray(np.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], -1))
+        top = float(s.odds.max())
+        gain = s.base + top - 0.5 * np.log(np.linalg.det(noise)) - posterior.LOG_2PI
+        reach = np.sqrt(2.0 * np.maximum(gain, 1.0) * np.linalg.eigvalsh(spread)[:, 1])
+        cell = float(reach.max())
+        grid = flights.fill_grid(s.p, cell)
+        Xi_inverse = np.linalg.inv(s.Xi)
+        apart = np.array([2.0 * np.sqrt(np.trace(noise.mean(0))), 2.0 * np.sqrt(np.trace(noise.mean(0))) / max(np.abs(s.q).max(), 1e-9)])
+        limit = chdtri(3, 1.0 - self.gates[1])
+        poses, scores, tried, used = flights.explore(
+            s.q, packed, gain, pairs, tolerance, near.start, near.columns, s.p, s.odds - top,
+            Xi_inverse, limit, cell, *grid, apart, self.basins, self.poses,
+        )  # fmt: skip
+        poses = np.concatenate([np.zeros((1, 3)), poses[np.isfinite(scores) & (scores > scores[0] - 15.0)]])
+        found = [self._basin(s, pose, cell, grid, Xi_inverse) for pose in poses]
+        return found, {"poses": tried, "anchors": used, "proof": "truncated"}
+
+    def _basin(self, s: Rigid, pose: Array, cell: float, grid: Any, Xi_inverse: Array) -> Basin:
+        gate2 = float(chdtri(2, 1.0 - self.gates[1]))
+        reach = np.sqrt(gate2 * np.linalg.eigvalsh(s.R + 3.0 * s.D.mean(0))[:, 1])
+        start, columns = flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid)
+        args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+        at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
+        gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
+        return Basin(match, value, gains, Window(start, columns))
+
+    # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
+
+    def _within(self, problem: AssociationProblem, near: Window, base: Array, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
+        """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
+        nu, R = problem.innovation, problem.R
+        C = np.ascontiguousarray(problem.predictions.cov)
+        m = len(nu)
+        gate2 = float(chdtri(2, 1.0 - self.gates[1]))
+        args = (nu, C, R, base, near.start, near.columns)
+        first, value = posterior.complete(np.full(m, -1, np.int64), *args, gate2)
+        bound = most_possible(near, base, R)
+        order = np.argsort(near.counts, kind="stable")
+        ranked = _reordered(near, order)
+        pool, pool_value = np.full((8, m), -1, np.int64), np.full(8, -np.inf)
+        free = np.full(m + 1, np.inf)
+        nodes, proven = posterior.search(
+            nu, C, R, base, bound, order, ranked.start, ranked.columns, free, first, value, self.ambiguity, self.nodes,
+            pool, pool_value,
+        )  # fmt: skip
+        flown = 0
+        if not proven and self.flights:
+            lengths = power_law(self.exponent, m).draw(rng, self.flights)
+            pool[0], pool_value[0], flown = posterior.ruin(
+                pool[0], pool_value[0], *args, gate2, lengths, rng.random((self.flights, 2)), self.patience
+            )
+        keep = np.flatnonzero(pool_value > pool_value[0] - self.ambiguity)
+        found = [Basin(pool[k], pool_value[k], posterior.left_out_gains(pool[k], *args), near) for k in keep[:4]]
+        return found, {"nodes": nodes, "flights": flown, "proof": "optimal" if proven else "truncated"}
+
+    # --- 6: decision -----------------------------------------------------------------------------------------------
+
+    def _decided(self, found: list[Basin], n: int, info: dict[str, Any]) -> Sequence[Association]:
+        best = max(found, key=lambda b: b.value)
+        info = {**info, "objective": best.value}
+        weights = np.exp(np.array([b.value for b in found]) - best.value)
+        p, none = mixed_marginals(found, weights / weights.sum(), n)
+        if self.decide == "map":
+            match = best.match
+        else:
+            match = most_probable(p, none, self.least)
+        chance = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
+        return [Association(match, 0.0, info, chance)]
+
+
+def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, Array]:
+    """Pairs of observations to anchor on, few candidates and long baseline first, each used at most three times.
+
+    Returns (a, 2) indices and the tolerance (a,) m on their distance: 3.5 sigma of the two.
+    """
+    a, b = np.triu_indices(len(q), 1)
+    work = counts[a].astype(float) * counts[b]
+    length = np.hypot(*(q[a] - q[b]).T)
+    spread = np.sqrt(np.linalg.eigvalsh(noise)[:, 1])
+    useful = np.flatnonzero((work > 0) & (length > 3.0 * (spread[a] + spread[b])))
+    rank = np.log(work[useful]) - 2.0 * np.log(length[useful])
+    times, chosen = np.zeros(len(q), np.int64), []
+    for k in useful[np.argsort(rank, kind="stable")]:
+        if times[a[k]] < 3 and times[b[k]] < 3:
+            times[a[k]] += 1
+            times[b[k]] += 1
+            chosen.append(k)
+            if len(chosen) == most:
+                break
+    picked = np.array(chosen, np.int64)
+    pairs = np.column_stack([a[picked], b[picked]])
+    return pairs, 3.5 * np.hypot(spread[a[picked]], spread[b[picked]])
+
+
+def most_possible(near: Window, base: Array, R: Array) -> Array:
+    """Upper bound (m,) of what each observation can add to L: the best base gain at a perfect fit, S no less than R."""
+    perfect = -0.5 * np.log(np.linalg.det(R)) - posterior.LOG_2PI
+    best = np.array([base[i, near.columns[a:b]].max() if b > a else 0.0 for i, (a, b) in enumerate(zip(near.start, near.start[1:], strict=False))])
+    return np.maximum(best + perfect, 0.0)
+
+
+def _reordered(near: Window, order: Ids) -> Window:
+    parts = [near.columns[near.start[i] : near.start[i + 1]] for i in order]
+    start = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
+    return Window(start, np.concatenate(parts) if parts else near.columns)
+
+
+def mixed_marginals(found: list[Basin], weights: Array, n: int) -> tuple[Array, Array]:
+    """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins."""
+    m = len(found[0].match)
+    p, none = np.zeros((m, n)), np.zeros(m)
+    for basin, weight in zip(found, weights, strict=True):
+        if weight < 1e-4:
+            continue
+        near = basin.window
+        chance, alone = posterior.marginals(basin.gains, near.start, near.columns, n, 50)
+        np.add.at(p, (np.repeat(np.arange(m), near.counts), near.columns), weight * chance)
+        none += weight * alone
+    return p, none
+
+
+def most_probable(p: Array, none: Array, least: float) -> Ids:
+    """The most probable partner of each observation, one-to-one, surest first; unpaired where that is more probable."""
+    match, used = np.full(len(p), -1, np.int64), set[int]()
+    rows, columns = np.nonzero(p > np.maximum(least, 1e-3))
+    for k in np.argsort(-p[rows, columns], kind="stable"):
+        i, j = int(rows[k]), int(columns[k])
+        if match[i] < 0 and j not in used and p[i, j] > none[i]:
+            match[i] = j
+            used.add(j)
+    return match

@@ -1,0 +1,151 @@
+"""Names for associators, estimators and scenarios, and how each is built. Nothing is imported before it is asked for.
+
+A name is looked up in this order: the table below; entry points of installed packages (groups `tomthumb.associators`,
+`tomthumb.estimators`, `tomthumb.scenarios`); ``package.module:Class``; ``./file.py:Class``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from tomthumb.errors import TomThumbError, UnknownName
+
+BUILT_IN: dict[str, dict[str, str]] = {
+    "associator": {
+        "oracle": "tomthumb.associators.oracle:Oracle",
+        "nn": "tomthumb.associators.nearest:NearestNeighbour",
+        "gnn": "tomthumb.associators.nearest:GlobalNearestNeighbour",
+        "jcbb": "tomthumb.associators.jcbb:JointCompatibility",
+        "stt": "tomthumb.associators.tom_thumb:TomThumb",
+    },
+    "estimator": {
+        "ekf": "tomthumb.estimators.ekf:EKF",
+    },
+    "scenario": {},  # scenarios have a catalogue of their own: tomthumb.scenarios
+}
+
+Factory = Callable[..., Any]
+
+
+def names(kind: str) -> list[str]:
+    """All short names of a kind: built in, then from entry points of installed packages. Imports none of them."""
+    return [*_table(kind), *(name for name in _entry_points(kind) if name not in _table(kind))]
+
+
+def find(kind: str, name: str) -> Factory:
+    """The class or function behind a name. Raises UnknownName, or TomThumbError for a file or module without it."""
+    if name in _table(kind):
+        return _load(_table(kind)[name], kind)
+    if ":" in name:
+        return _load(name, kind)
+    entries = _entry_points(kind)
+    if name in entries:
+        found: Factory = entries[name].load()
+        return found
+    raise UnknownName(kind, name, [*_table(kind), *entries])
+
+
+def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None, /, **given: Any) -> Any:
+    """What the name stands for, built with `parameters`; `given` is what the caller supplies (models, truth).
+
+    A parameter that does not exist is an UnknownName that lists the valid ones, a value of the wrong type a
+    TomThumbError. `faithful`, which is set for all parts at once, is left out where a part knows no such thing.
+    """
+    factory = find(kind, name)
+    known = parameters_of(factory)
+    wanted = dict(parameters or {})
+    if "faithful" not in known:
+        wanted.pop("faithful", None)
+    for key, value in wanted.items():
+        if key not in known or key in given:
+            raise UnknownName(f"parameter of {kind} {name!r}:", key, [k for k in known if k not in given])
+        wanted[key] = checked(f"{kind}.{key}", value, known[key])
+    return factory(**{key: value for key, value in given.items() if key in known}, **wanted)
+
+
+def parameters_of(factory: Factory) -> dict[str, inspect.Parameter]:
+    """The keyword arguments that a class or function takes, by name."""
+    parameters = inspect.signature(factory).parameters.values()
+    return {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+
+
+def checked(key: str, value: Any, parameter: inspect.Parameter) -> Any:
+    """The value as the annotation wants it: whole numbers become floats; a plain type that does not fit is refused."""
+    types = [part.strip() for part in str(parameter.annotation).split("|")]
+    if not set(types) <= {"int", "float", "bool", "str", "None"}:
+        return value  # more than a plain type: the part itself must judge
+    got = "None" if value is None else type(value).__name__
+    if got in types:
+        return value
+    if got == "int" and "float" in types:
+        return float(value)
+    raise TomThumbError(f"{key} must be {' or '.join(_in_words(t) for t in types)}, got {value!r}")
+
+
+def _in_words(plain: str) -> str:
+    words = {"int": "a whole number", "float": "a number", "bool": "true or false", "str": "a word", "None": "nothing"}
+    return words[plain]
+
+
+def _table(kind: str) -> dict[str, str]:
+    if kind not in BUILT_IN:
+        raise UnknownName("kind of part", kind, BUILT_IN)
+    return BUILT_IN[kind]
+
+
+def _entry_points(kind: str) -> dict[str, Any]:
+    from importlib.metadata import entry_points
+
+    return {entry.name: entry for entry in entry_points(group=f"tomthumb.{kind}s")}
+
+
+def _load(target: str, kind: str) -> Factory:
+    """``module:Name`` or ``file.py:Name``."""
+    where, _, attribute = target.rpartition(":")
+    module = _from_file(Path(where)) if where.endswith(".py") else _from_package(where, target, kind)
+    found = getattr(module, attribute, None)
+    if found is None:
+        public = [
+            name for name, value in vars(module).items() if callable(value) and value.__module__ == module.__name__
+        ]
+        raise UnknownName(f"{kind} in {where}:", attribute, public)
+    factory: Factory = found
+    return factory
+
+
+def _from_package(name: str, target: str, kind: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as missing:
+        if missing.name is None or not (name == missing.name or name.startswith(missing.name + ".")):
+            raise  # the module exists, and misses something itself
+        raise TomThumbError(f"{kind} {target!r}: there is no module {missing.name!r}") from None
+
+
+def _from_file(path: Path) -> ModuleType:
+    """A file as a module; the same file gives the same module, so that its classes stay themselves."""
+    full = path.expanduser().resolve()
+    if not full.is_file():
+        raise TomThumbError(f"{path}: no such file")
+    name = f"tomthumb_file_{full.stem}_{hashlib.sha256(str(full).encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, full)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up while it is being executed
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
