@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -158,13 +156,3 @@ def _survivors(ids: Ids, merged: Ids) -> Ids:
             i = into[i]
         return i
     return np.array([last(i) for i in ids.tolist()], np.int64)
-
-
-class _Callable(ModuleType):
-    """Once imported, this module takes the name `tomthumb.run` from the function; so it can be called as well."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Trace:
-        return run(*args, **kwargs)
-
-
-sys.modules[__name__].__class__ = _Callable

@@ -367,3 +367,9 @@ def left_out_gains(
             pose, spread, q[i : i + 1], R[i : i + 1], points, D, base[i : i + 1], odds, one_start, part, gate2
         )
     return gains
+
+
+@jit
+def log_prior(pose: Array, prior_inverse: Array) -> float:
+    """Log density of the motion's prior, but for a constant."""
+    return -0.5 * _quadratic(prior_inverse, pose[0], pose[1], pose[2])

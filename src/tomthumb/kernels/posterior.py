@@ -295,10 +295,12 @@ def left_out_gains(match: Array, nu: Array, C: Array, R: Array, base: Array, sta
 
 
 @jit
-def marginals(gains: Array, start: Array, columns: Array, n: int, rounds: int) -> tuple[Array, Array]:
-    """Probability of each listed pairing, and of each observation being unpaired (m,), one-to-one, by belief propagation.
+def marginals(gains: Array, start: Array, columns: Array, n: int, rounds: int) -> tuple[Array, Array, float]:
+    """Probability of each listed pairing, of each observation being unpaired (m,), and the log of their normaliser.
 
-    `gains` are log ratios against "unpaired". References: J. Williams, R. Lau, IEEE T-AES 50(4), 2014, eq. 28 to 30.
+    One-to-one, by belief propagation; the normaliser (the sum over all assignments of exp L) is Bethe's.
+    `gains` are log ratios against "unpaired". References: J. Williams, R. Lau, IEEE T-AES 50(4), 2014, eq. 28 to 30;
+    P. Vontobel, IEEE T-IT 59(3), 2013 (the Bethe permanent).
     """
     m, size = start.shape[0] - 1, columns.shape[0]
     psi, to_i, to_j = np.empty(size), np.ones(size), np.zeros(size)
@@ -321,15 +323,21 @@ def marginals(gains: Array, start: Array, columns: Array, n: int, rounds: int) -
             to_i[c] = new
         if change < 1e-4:
             break
-    p, none = np.empty(size), np.empty(m)
+    p, none, log_z = np.empty(size), np.empty(m), 0.0
     for i in range(m):
         total = 1.0
         for c in range(start[i], start[i + 1]):
             total += psi[c] * to_i[c]
         none[i] = 1.0 / total
+        log_z += math.log(total)
         for c in range(start[i], start[i + 1]):
             p[c] = psi[c] * to_i[c] / total
-    return p, none
+            log_z -= math.log(1.0 + to_j[c] * to_i[c])
+    for c in range(size):
+        if sums[columns[c]] >= 0.0:  # each landmark once
+            log_z += math.log(1.0 + sums[columns[c]])
+            sums[columns[c]] = -1.0
+    return p, none, log_z
 
 
 @jit

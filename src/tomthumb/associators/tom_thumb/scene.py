@@ -48,7 +48,17 @@ class Rigid:
 def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
     """(m,) -log lambda0 of each observation and (n,) log odds of detection plus the memory's prior, in z's units."""
     odds = log_odds(problem)
-    return -np.log(problem.clutter), odds if prior is None else odds + prior
+    density = np.minimum(problem.clutter, _observed_density(problem.z, problem.angles))
+    return -np.log(density), odds if prior is None else odds + prior
+
+
+def _observed_density(z: Array, angles: tuple[int, ...]) -> float:
+    """Observations per unit of z over the box they fill: false ones cannot be denser than all of them."""
+    span = np.ptp(z, axis=0)
+    if angles or len(z) < 4 or not span.all():
+        span = np.array([span[0], min(span[1], 2.0 * np.pi)])
+    area = float(span[0] * span[1])
+    return len(z) / area if len(z) >= 4 and area > 0.0 else np.inf
 
 
 def window(d2: Array, gate: float) -> Window:
@@ -90,7 +100,7 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         D = own - B @ Xi @ B.transpose(0, 2, 1)
         if _explained(C, Xi, p[sample], noise) and (np.linalg.eigvalsh(D)[:, 0] > -REMAINDER * noise).all():
             area = np.abs(np.linalg.det(Tq))
-            return Rigid(q, R, p, _floored(D), Xi, base - np.log(area), odds)
+            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds)
     return None
 
 

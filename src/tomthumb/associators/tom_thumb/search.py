@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
@@ -30,12 +31,17 @@ from tomthumb.types import Array, Association, AssociationProblem, Ids
 
 @dataclass(frozen=True, slots=True)
 class Basin:
-    """One pose basin: its best hypothesis, L, and the gains of all listed pairings given the others."""
+    """One pose basin: its best hypothesis, L, and the gains of all listed pairings given the others.
+
+    `pose (3,)` and its inverse covariance `M (3, 3)` where the search went over poses.
+    """
 
     match: Ids
     value: float
     gains: Array
     window: Window
+    pose: Array | None = None
+    M: Array | None = None
 
 
 @dataclass(slots=True)
@@ -60,6 +66,10 @@ class TomThumb:
     ambiguity: float = 3.0
     least: float = 0.0
     decide: str = "marginal"
+    samples: int = 40
+    reach: float = 7.0
+    sure: float = 0.98
+    hard: float = 1.5
     parts: dict[str, bool] = field(default_factory=dict)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
@@ -74,14 +84,14 @@ class TomThumb:
             found, info = self._anchored(scene, near)
         else:
             found, info = self._within(problem, near, base[:, None] + odds[None], rng)
-        return self._decided(found, n, info)
+        return self._decided(found, n, info, scene, rng)
 
     def learn(self, ids: Ids, t: float) -> None:
         """Nothing yet."""
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations: pose basins matter."""
-        return len(near.counts) >= 3 and float(near.counts.mean()) > 1.5
+        return len(near.counts) >= 3 and float(near.counts.mean()) > self.hard
 
     # --- 2: anchored flights ------------------------------------------------------------------------------------
 
@@ -115,7 +125,7 @@ class TomThumb:
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
         gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
-        return Basin(match, value, gains, Window(start, columns))
+        return Basin(match, value, gains, Window(start, columns), at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
@@ -148,15 +158,15 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(self, found: list[Basin], n: int, info: dict[str, Any]) -> Sequence[Association]:
-        best = max(found, key=lambda b: b.value)
-        info = {**info, "objective": best.value}
+    def _decided(self, found: list[Basin], n: int, info: dict[str, Any], scene: Rigid | None, rng: Rng) -> Sequence[Association]:
+        found = distinct(found, self.reach)
+        best = found[0]
+        info = {**info, "objective": best.value, "basins": len(found)}
         weights = np.exp(np.array([b.value for b in found]) - best.value)
         p, none = mixed_marginals(found, weights / weights.sum(), n)
-        if self.decide == "map":
-            match = best.match
-        else:
-            match = most_probable(p, none, self.least)
+        if scene is not None and self.samples and (len(found) > 1 or np.maximum(p.max(1), none).min() < self.sure):
+            p, none = sampled_marginals(found, scene, n, self.samples, float(chdtri(2, 1.0 - self.gates[1])), rng)
+        match = best.match if self.decide == "map" else most_probable(p, none, self.least)
         chance = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
         return [Association(match, 0.0, info, chance)]
 
@@ -198,6 +208,18 @@ def _reordered(near: Window, order: Ids) -> Window:
     return Window(start, np.concatenate(parts) if parts else near.columns)
 
 
+def distinct(found: list[Basin], reach: float) -> list[Basin]:
+    """Basins within `reach` nats of the best, best first, each hypothesis once."""
+    ranked = sorted(found, key=lambda b: -b.value)
+    kept: list[Basin] = []
+    for basin in ranked:
+        if basin.value < ranked[0].value - reach:
+            break
+        if not any(np.array_equal(basin.match, other.match) for other in kept):
+            kept.append(basin)
+    return kept
+
+
 def mixed_marginals(found: list[Basin], weights: Array, n: int) -> tuple[Array, Array]:
     """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins."""
     m = len(found[0].match)
@@ -206,19 +228,60 @@ def mixed_marginals(found: list[Basin], weights: Array, n: int) -> tuple[Array, 
         if weight < 1e-4:
             continue
         near = basin.window
-        chance, alone = posterior.marginals(basin.gains, near.start, near.columns, n, 50)
+        chance, alone, _ = posterior.marginals(basin.gains, near.start, near.columns, n, 50)
         np.add.at(p, (np.repeat(np.arange(m), near.counts), near.columns), weight * chance)
         none += weight * alone
     return p, none
 
 
+def sampled_marginals(found: list[Basin], s: Rigid, n: int, samples: int, gate2: float, rng: Rng) -> tuple[Array, Array]:
+    """The same with the pose integrated out by importance sampling: given the pose, the pairings are independent.
+
+    Poses are drawn from a mixture of the basins' Gaussians, widened by half; each is weighed by its prior times the sum
+    over all assignments (Bethe), divided by the mixture's density (deterministic mixture weights).
+    """
+    Xi_inverse = np.linalg.inv(s.Xi)
+    factors = [1.5 * np.linalg.cholesky(np.linalg.inv(b.M)) for b in found]
+    centres = [b.pose for b in found]
+    m, p, none = len(s.q), np.zeros((len(s.q), n)), np.zeros(len(s.q))
+    parts, logs = [], []
+    still = np.zeros((3, 3))
+    for b, factor, centre in zip(found, factors, centres, strict=True):
+        near = b.window
+        for step in rng.standard_normal((samples, 3)):
+            pose = centre + factor @ step
+            gains = flights.pose_gains(pose, still, s.q, s.R, s.p, s.D, s.base, s.odds, near.start, near.columns, gate2)
+            chance, alone, log_z = posterior.marginals(gains, near.start, near.columns, n, 10)
+            density = _mixture(pose, centres, factors)
+            parts.append((near, chance, alone))
+            logs.append(flights.log_prior(pose, Xi_inverse) + log_z - density)
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    for weight, (near, chance, alone) in zip(weights, parts, strict=True):
+        if weight > 1e-5:
+            np.add.at(p, (np.repeat(np.arange(m), near.counts), near.columns), weight * chance)
+            none += weight * alone
+    return p, none
+
+
+def _mixture(pose: Array, centres: list[Array], factors: list[Array]) -> float:
+    """Log density of an equal mixture of Gaussians given by centres and Cholesky factors, but for a constant."""
+    logs = []
+    for centre, factor in zip(centres, factors, strict=True):
+        y = np.linalg.solve(factor, pose - centre)
+        logs.append(-0.5 * float(y @ y) - float(np.log(np.diag(factor)).sum()))
+    top = max(logs)
+    return top + float(np.log(np.mean(np.exp(np.array(logs) - top))))
+
+
 def most_probable(p: Array, none: Array, least: float) -> Ids:
-    """The most probable partner of each observation, one-to-one, surest first; unpaired where that is more probable."""
-    match, used = np.full(len(p), -1, np.int64), set[int]()
-    rows, columns = np.nonzero(p > np.maximum(least, 1e-3))
-    for k in np.argsort(-p[rows, columns], kind="stable"):
-        i, j = int(rows[k]), int(columns[k])
-        if match[i] < 0 and j not in used and p[i, j] > none[i]:
-            match[i] = j
-            used.add(j)
+    """The one-to-one assignment that maximises the expected number of right decisions."""
+    match = np.full(len(p), -1, np.int64)
+    columns = np.flatnonzero((p > max(least, 1e-3)).any(0))
+    if not len(columns):
+        return match
+    gain = np.where(p[:, columns] > least, p[:, columns] - none[:, None], 0.0)
+    rows, picked = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
+    good = gain[rows, picked] > 0.0
+    match[rows[good]] = columns[picked[good]]
     return match
