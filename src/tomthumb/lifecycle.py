@@ -19,7 +19,8 @@ from tomthumb.types import Array, Ids, Mask, Predictions
 class LifeCycle:
     """The policy's numbers; each has its reason in docs/lifecycle.md.
 
-    hits: static sightings that turn a crumb into a stone (1: at once). patience: scans a crumb may stay unseen.
+    hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
+    `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
@@ -27,6 +28,8 @@ class LifeCycle:
     """
 
     hits: int = 5
+    few: int = 2
+    anchors: int = 3
     patience: int = 100
     gate: float = 0.99
     apart: float = 0.9999
@@ -98,9 +101,11 @@ def record_companions(ledger: Ledger, ids: list[int]) -> None:
         ledger[i].companions.update(ids)
 
 
-def promotions(ledger: Ledger, crumbs: Iterable[int], policy: LifeCycle) -> Ids:
-    """Crumbs with enough static hits, most of their hits static."""
-    ready = [i for i in crumbs if ledger[i].static >= policy.hits and 2 * ledger[i].static > ledger[i].hits]
+def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
+    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
+    wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
+    wanted = 1 if first else wanted
+    ready = [i for i in crumbs if ledger[i].static >= wanted and 2 * ledger[i].static > ledger[i].hits]
     return np.array(ready, np.int64)
 
 

@@ -252,7 +252,9 @@ class Slam:
         return founded[0] >= 0
 
     def _promote(self, branch: Branch, candidates: list[int]) -> None:
-        ready = lifecycle.promotions(branch.ledger, [i for i in candidates if i in branch.crumbs], self.policy)
+        crumbs = [i for i in candidates if i in branch.crumbs]
+        first = len(branch.crumbs) == len(branch.ledger)
+        ready = lifecycle.promotions(branch.ledger, crumbs, len(candidates) - len(crumbs), first, self.policy)
         if len(ready):
             branch.belief = self.estimator.promote(branch.belief, ready)
             branch.crumbs.difference_update(ready.tolist())

@@ -9,6 +9,7 @@ import numpy as np
 
 from tomthumb.metrics.consistency import innovation_consistency, pose_consistency
 from tomthumb.metrics.decisions import FN, FP, TN, TP, Decisions, decide, decide_as_reference, decide_final
+from tomthumb.metrics.golden import golden_metrics
 from tomthumb.metrics.identity import duplicates_and_ghosts, identify, purity_and_idf1
 from tomthumb.metrics.lifetimes import step_of_observation
 from tomthumb.metrics.mapping import gospa, map_errors
@@ -24,7 +25,10 @@ def evaluate(trace: Trace, scenario: Scenario) -> Row:
 
     Raises TomThumbError when the trace is not of this scenario.
     """
-    return score(trace, collect(scenario, trace))
+    row = score(trace, collect(scenario, trace))
+    if "golden" in scenario.info:
+        row |= {key: _plain(value) for key, value in golden_metrics(trace, scenario.info["golden"]).items()}
+    return row
 
 
 def score(trace: Trace, truth: TruthTable) -> Row:

@@ -100,7 +100,7 @@ def hidden(z: Array, radius: float = POST_RADIUS) -> Mask:
     half = np.arcsin(np.minimum(radius / np.maximum(r, radius), 1.0))
     apart = np.abs((b[:, None] - b[None] + math.pi) % (2 * math.pi) - math.pi)
     covers = (apart < half[None]) & (r[None] < r[:, None])
-    behind: Mask = covers.any(1)
+    behind: Mask = np.asarray(covers.any(1))
     return behind
 
 
@@ -112,7 +112,7 @@ def covariance(eye: Eye, z: Array) -> Array:
     c, s, r = np.cos(z[:, 1]), np.sin(z[:, 1]), z[:, 0]
     J = np.stack([np.stack([c, -r * s], -1), np.stack([s, r * c], -1)], -2)
     R: Array = np.einsum("mij,mj,mkj->mik", J, std**2, J)
-    return R
+    return (R + R.swapaxes(1, 2)) / 2
 
 
 def hand_over(eye: Eye, true: Array, noise: Array) -> Observations:

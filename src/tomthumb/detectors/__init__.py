@@ -1,0 +1,7 @@
+"""Landmarks out of raw 2-D laser scans: trunks, poles and reflectors, with covariances. Each is a plain function."""
+
+from __future__ import annotations
+
+from tomthumb.detectors.laser import Detections, cluster, reflectors
+
+__all__ = ["Detections", "cluster", "reflectors"]
