@@ -21,6 +21,30 @@ BLOCK = 1 << 16
 WORDS = 300
 
 
+@dataclass(frozen=True, slots=True)
+class Death:
+    """How a worker ended: `code` is its return code, minus the signal; `words` the end of what it said to nobody."""
+
+    code: int
+    words: str
+
+    @property
+    def from_outside(self) -> bool:
+        """Signals that a process does not send itself: an operator, the out-of-memory killer, a batch system."""
+        return -self.code in (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
+
+    def __str__(self) -> str:
+        how = f"ended with code {self.code}" if self.code >= 0 else f"died of {_signal(-self.code)}"
+        return f"{how}: {self.words}" if self.words else how
+
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
 @dataclass(slots=True)
 class Child:
     """A worker with the jobs it was given and has not answered; the first of them is the one it is at.
@@ -67,15 +91,15 @@ class Child:
         self.answers += 1
         self.since = time.monotonic()
 
-    def end(self) -> int:
-        """Kill it if it still lives; its return code (minus the signal)."""
+    def end(self) -> Death:
+        """Kill it if it still lives; its return code (minus the signal) and last words."""
         self.process.kill()
-        code = self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
+        death = Death(self.process.wait(), self._last_words())
+        for pipe in (self.process.stdin, self.process.stdout, self.errors):
             close_quietly(pipe)
-        return code
+        return death
 
-    def last_words(self) -> str:
+    def _last_words(self) -> str:
         """The end of what it wrote to standard error, on one line."""
         size = self.errors.seek(0, os.SEEK_END)
         self.errors.seek(max(0, size - 4096))
@@ -97,23 +121,6 @@ def start(memory_mb: float | None, runner: str = RUNNER) -> Child:
         env=environment,
     )
     return Child(process, errors)
-
-
-def killed_from_outside(code: int) -> bool:
-    """True for the signals that a process does not send itself (an operator, the out-of-memory killer, a batch
-    system).
-    """
-    return -code in (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP)
-
-
-def how_it_died(code: int) -> str:
-    """A return code in words."""
-    if code >= 0:
-        return f"ended with code {code}"
-    try:
-        return f"died of {signal.Signals(-code).name}"
-    except ValueError:
-        return f"died of signal {-code}"
 
 
 def close_quietly(pipe: IO[bytes] | None) -> None:

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from tomthumb.bench.child import Child, how_it_died, killed_from_outside, start
+from tomthumb.bench.child import Child, Death, start
 from tomthumb.bench.execute import POISONED, TIMEOUT, Job, Row
 from tomthumb.bench.grid import UNBOUNDED, Limits
 from tomthumb.bench.version import code_version
@@ -123,12 +123,12 @@ class Supervisor:
     def _bury(self, child: Child) -> list[Row]:
         """A dead worker: its run gets a strike, the runs behind it go back untouched."""
         self._dismiss(child)
-        code = child.end()
+        death = child.end()
         if not child.ready:
-            return self._never_lived(child, code)
+            return self._never_lived(child, death)
         if not child.jobs:
             return []
-        if code == ENOUGH or child.late not in (None, child.jobs[0]["key"]):
+        if death.code == ENOUGH or child.late not in (None, child.jobs[0]["key"]):
             self.jobs.extendleft(reversed(child.jobs))  # it ended between two runs: nobody's fault
             return []
         job, *rest = child.jobs
@@ -136,9 +136,8 @@ class Supervisor:
         if child.late:
             return [self._lost(job, TIMEOUT, f"took more than {self.limits.seconds:g} s")]
         before = self.strikes.get(job["key"], Strikes())
-        kill = killed_from_outside(code)
-        now = Strikes(before.deaths + (not kill), before.kills + kill)
-        reason = f"its worker {how_it_died(code)}" + (f": {words}" if (words := child.last_words()) else "")
+        now = Strikes(before.deaths + (not death.from_outside), before.kills + death.from_outside)
+        reason = f"its worker {death}"
         self.strikes[job["key"]] = now
         self.strike(job["key"], now, reason)
         if now.deaths >= self.limits.attempts or now.kills >= self.limits.kills:
@@ -146,11 +145,11 @@ class Supervisor:
         self.jobs.append(job)
         return []
 
-    def _never_lived(self, child: Child, code: int) -> list[Row]:
+    def _never_lived(self, child: Child, death: Death) -> list[Row]:
         self.jobs.extendleft(reversed(child.jobs))
-        self.stillborn += not killed_from_outside(code)
+        self.stillborn += not death.from_outside
         if self.stillborn >= STILLBORN:
-            raise TomThumbError(f"workers cannot be started: the last one {how_it_died(code)}: {child.last_words()}")
+            raise TomThumbError(f"workers cannot be started: the last one {death}")
         return []
 
     def _lost(self, job: Job, status: str, reason: str) -> Row:
