@@ -10,6 +10,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -99,9 +100,9 @@ def run_on_cluster(
     while fleet.jobs or fleet.flying:
         before = len(fleet.jobs)
         try:
-            with _client(where) as client:
+            with _client(where) as client, client.as_current():
                 _fly(fleet, client)
-        except (OSError, TimeoutError, asyncio.CancelledError, SchedulerLost) as reason:
+        except (OSError, TimeoutError, asyncio.CancelledError, CancelledError, SchedulerLost) as reason:
             fleet.recall()
             if len(fleet.jobs) < before:
                 deadline = time.monotonic() + patience_s

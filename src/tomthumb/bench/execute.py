@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -26,10 +26,12 @@ Row = dict[str, Any]
 class Executor:
     """Runs jobs one after another; keeps the last world, which the next job of a pair needs again.
 
-    `memory_mb` bounds what one run may take on top of what the process holds when it starts.
+    `memory_mb` bounds what one run may take on top of what the process holds when it starts; `measure` is what is done
+    with a world and a job, the metrics of the run by default.
     """
 
     memory_mb: float | None = None
+    measure: Callable[[Scenario, Job], dict[str, Any]] | None = None
     world: str = ""
     scenario: Scenario | None = None
     warm: set[str] = field(default_factory=set)
@@ -43,7 +45,7 @@ class Executor:
             with memory_bound(self.memory_mb):
                 scenario = self._world(job)
                 started += self._warm_up(scenario, job)
-                row["metrics"] = measured(scenario, job)
+                row["metrics"] = (self.measure or measured)(scenario, job)
         except TomThumbError as reason:
             row |= {"status": REFUSED, "reason": str(reason)}
         except MemoryError:

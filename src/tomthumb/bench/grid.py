@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import re
 import tomllib
@@ -57,7 +58,8 @@ class Grid:
     """All axes with their choices. A method is an estimator with an associator and a life cycle.
 
     `baseline` is the label of a method, or of an associator: then each method is compared with the one that differs
-    from it in the associator only. `pages`: how many runs the report draws.
+    from it in the associator only. `pages`: how many runs the report
+    draws. `text` is the file it was read from, `source` all that it takes to make it again.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Grid:
     pages: int = 60
     description: str = ""
     text: str = ""
+    source: str = ""
 
     def methods(self) -> dict[str, tuple[Part, Part, Part]]:
         """Estimator, associator and life cycle by label: the parts that vary, or the associator if none does."""
@@ -148,6 +151,7 @@ def from_table(table: Mapping[str, Any], home: Path, text: str = "") -> Grid:
         pages=_pages(table.get("report", {})),
         description=str(table.get("description", "")),
         text=text,
+        source=json.dumps({"table": table, "home": str(home.resolve()), "text": text}),
     )
     _check_labels(grid)
     return grid

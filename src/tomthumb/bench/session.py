@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -9,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tomthumb.bench.execute import DONE, Row
-from tomthumb.bench.grid import Grid
+from tomthumb.bench.grid import Grid, from_table, read_grid
 from tomthumb.bench.journal import Journal, reading, shard_of, writing
 from tomthumb.bench.spec import RunSpec
 from tomthumb.bench.supervisor import run_jobs
@@ -114,7 +115,7 @@ def plan(journal: Journal, grid: Grid, runs: Sequence[RunSpec]) -> None:
     """Write down what is to be run and by which grid."""
     labels = {(e.label, a.label, s.label): name for name, (e, a, s) in grid.methods().items()}
     journal.set_plan(runs, labels)
-    journal.set_about(grid=grid.text, name=grid.name)
+    journal.set_about(grid=grid.source, name=grid.name)
 
 
 def _run(journal: Journal, todo: Sequence[RunSpec], grid: Grid, where: Where, tally: Tally, progress: Progress) -> None:
@@ -173,6 +174,15 @@ def merge(grid: Grid, out: Path, shards: Iterable[Path]) -> tuple[int, int]:
             journal.absorb(path)
         have = journal.keys()
     return sum(run.key in have for run in runs), len(runs)
+
+
+def grid_of(out: Path, path: Path | None = None) -> Grid:
+    """The grid that the journal in `out` was made with; or that of a file. Raises TomThumbError."""
+    if path is not None:
+        return read_grid(path)
+    with reading(journal_path(out)) as journal:
+        source = json.loads(journal.about()["grid"])
+    return from_table(source["table"], Path(source["home"]), source["text"])
 
 
 def parse_shard(text: str) -> tuple[int, int]:
