@@ -274,7 +274,7 @@ class Slam:
         inside = predictions.visible > self.policy.in_view * np.minimum(chance, 0.999)
         seen = np.array([i in hit for i in predictions.ids.tolist()], bool)
         missed = inside & ~seen
-        lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed])
+        lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed], self.policy)
         if predictions.stone is not None and branch is self.branches[0]:
             known = inside & predictions.stone
             self.detection.record(predictions.points[known], seen[known])
