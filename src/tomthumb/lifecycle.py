@@ -23,7 +23,8 @@ class LifeCycle:
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
-    in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
+    in_view: chance of being in the field of view that makes a good opportunity. recall: opportunities remembered before
+    the older half fades, so that a long past does not keep a duplicate alive. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     """
 
@@ -36,6 +37,7 @@ class LifeCycle:
     purge: float = 0.35
     trial: int = 8
     in_view: float = 0.9
+    recall: float = 40.0
     merge: bool = True
     reference: bool = False
 
@@ -49,7 +51,7 @@ class Life:
     """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks."""
 
     seen: int
-    hits: int = 1
+    hits: float = 1.0
     chances: float = 1.0
     static: int = 1
     companions: set[int] = field(default_factory=set)
@@ -57,8 +59,8 @@ class Life:
 
     @property
     def exist(self) -> float:
-        """Probability that there is such a landmark."""
-        return (self.hits + 0.5) / (self.chances + 1.0)
+        """Probability that there is such a landmark, from its sightings and its opportunities."""
+        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
 
 
 Ledger = dict[int, Life]
@@ -81,18 +83,19 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
     gate2 = chdtri(2, 1.0 - policy.gate)
     for i, distance in zip(ids, d2, strict=True):
         life = ledger[i]
-        life.hits += 1
+        life.hits += 1.0
         life.chances += 1.0
         life.seen = scan
         life.static += distance < gate2
 
 
-def record_misses(ledger: Ledger, predictions: Predictions, seen: set[int], detect: float, policy: LifeCycle) -> None:
-    """Landmarks well inside the field of view that were not seen."""
-    chance = predictions.visible if predictions.visible is not None else np.ones(len(predictions))
-    for i in predictions.ids[chance > policy.in_view * detect]:
-        if int(i) not in seen:
-            ledger[int(i)].chances += 1.0
+def record_misses(ledger: Ledger, missed: Ids, chance: Array, policy: LifeCycle) -> None:
+    """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
+    for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
+        life = ledger[i]
+        life.chances += p
+        if life.chances > policy.recall:
+            life.hits, life.chances = 0.5 * life.hits, 0.5 * life.chances
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
@@ -105,7 +108,7 @@ def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: b
     """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
-    ready = [i for i in crumbs if ledger[i].static >= wanted and 2 * ledger[i].static > ledger[i].hits]
+    ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
     return np.array(ready, np.int64)
 
 

@@ -31,7 +31,9 @@ def run(
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
     "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in. Raises `TomThumbError`.
     """
-    slam = prepare(scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map)
+    slam = prepare(
+        scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map
+    )
     records = []
     for record in slam.stream(scenario.steps):
         records.append(record)
@@ -151,8 +153,10 @@ def _survivors(ids: Ids, merged: Ids) -> Ids:
     into: dict[int, int] = {}
     for drop, keep, _ in merged.tolist():
         into[drop] = keep
+
     def last(i: int) -> int:
         while i in into:
             i = into[i]
         return i
+
     return np.array([last(i) for i in ids.tolist()], np.int64)

@@ -95,3 +95,89 @@ def test_car_park(data, detections):
     np.testing.assert_allclose(nu.std(0), [0.03, math.radians(0.55)], rtol=0.15)
     assert dead_reckoning(scenario, scenario.steps[0].t + 60.0) == pytest.approx(0.9, abs=0.2)
     assert sum(step.control.dt for step in scenario.steps[1:]) == pytest.approx(125.2, abs=0.2)
+
+
+@pytest.mark.parametrize("detections", ["published", "raw"])
+def test_victoria_park(data, detections):
+    scenario = load(f"{data('victoria_park')}?detections={detections}")
+    ids = scenario.true_ids()
+    assert sum(step.observations is not None for step in scenario.steps) == 7230
+    assert len(np.unique(ids[ids >= 0])) == 299 == len(scenario.landmarks)
+    labelled = (ids >= 0).sum()
+    if detections == "published":
+        assert (len(ids), labelled) == (52974, 46860)
+    else:
+        assert labelled > 0.99 * 46860 * 7211 / 7230  # the laser file lacks the last 19 scans
+    spread = 1.4826 * np.median(np.abs(residuals(scenario)), axis=0)
+    np.testing.assert_allclose(spread, [0.06, math.radians(0.19)], rtol=0.1)
+    assert dead_reckoning(scenario, scenario.steps[0].t + 120.0) == pytest.approx(2.2, abs=0.3)
+
+
+@pytest.mark.parametrize(("robot", "sightings"), [(1, 2578), (2, 3818), (3, 4425), (4, 1822), (5, 3424)])
+def test_mrclam(data, robot, sightings):
+    scenario = load(f"mrclam:{data('utias_mrclam')}?robot={robot}")
+    assert len(scenario.true_ids()) == sightings
+    assert scenario.landmarks.shape == (15, 2)
+    assert scenario.steps[-1].t - scenario.steps[0].t == pytest.approx(15 * 60, abs=60)
+    spread = 1.4826 * np.median(np.abs(residuals(scenario)), axis=0)
+    assert 0.06 < spread[0] < 0.2
+    assert math.radians(0.25) < spread[1] < math.radians(1.2)
+
+
+def test_mrclam_has_five_robots(data):
+    with pytest.raises(TomThumbError, match="robot=6"):
+        load(f"mrclam:{data('utias_mrclam')}?robot=6")
+
+
+def test_dlr(data):
+    scenario = load(str(data("dlr_spatial_cognition")))
+    ids = scenario.true_ids()
+    assert len(scenario.steps) == 3297 + 1
+    assert (len(ids), (ids == -2).sum(), len(np.unique(ids[ids >= 0]))) == (14745, 436, 576)
+    assert np.median(np.linalg.norm(residuals(scenario), axis=1)) == pytest.approx(0.038, abs=0.003)
+
+
+@pytest.mark.parametrize("name", ["cityTrees10000.txt.gz", "monte_carlo/cityTrees10000_1.txt.xz"])
+def test_city_trees(data, name):
+    scenario = load(f"graph:{data('city_trees_10000')}/{name}")
+    assert len(scenario.steps) == 9999 + 1
+    assert len(scenario.true_ids()) == 4443
+    assert len(scenario.landmarks) == 100
+    assert scenario.info["twins"] == 8
+    assert len(np.unique(scenario.true_ids())) == 92
+    np.testing.assert_allclose(residuals(scenario).std(0), [0.1, 0.1], rtol=0.05)
+    np.testing.assert_allclose(np.sqrt(np.diag(scenario.steps[5].control.cov)), [0.02, 0.02, 0.01], rtol=1e-9)
+
+
+def test_slsjf(data):
+    scenario = load(str(data("slsjf_simulated")))
+    assert len(scenario.steps) == 536
+    assert len(scenario.true_ids()) == 850
+    assert len(np.unique(scenario.true_ids())) == 28
+    np.testing.assert_allclose(residuals(scenario).std(0), [0.1, math.radians(1.0)], rtol=0.1)
+
+
+def test_freiburg(data):
+    scenario = load(str(data("freiburg_slam_course")))
+    assert len(scenario.steps) == 331 + 1
+    assert len(scenario.true_ids()) == 1212
+    assert scenario.landmarks.shape == (9, 2)
+
+
+@pytest.mark.parametrize(
+    ("log", "frames", "near"), [("Testing4_9", 497, 9.4), ("Testing4_10", 451, 8.6), ("Testing5_2", 682, 8.5)]
+)
+def test_cones(data, log, frames, near):
+    scenario = load(str(data("fs_driverless_prom_ntua")), log=log)
+    assert len({step.t for step in scenario.steps}) == frames
+    assert len(scenario.true_ids()) / frames == pytest.approx(near, abs=0.15)
+    labels = np.concatenate([step.observations.labels for step in scenario.steps])
+    assert set(labels) <= {0, 1, 2, 3}
+    assert (scenario.true_ids() == -2).all()
+    way = sum(np.hypot(*step.control.u[:2]) for step in scenario.steps if step.control is not None)
+    assert way == pytest.approx(245, abs=6)
+
+
+def test_cones_names_the_logs_there_are(data):
+    with pytest.raises(TomThumbError, match="Testing4_10"):
+        load(str(data("fs_driverless_prom_ntua")), log="Testing9")

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from tomthumb.detectors.laser import Detections, cluster, reflectors
+from tomthumb.detectors.trunks import poles, trunks
 
-__all__ = ["Detections", "cluster", "reflectors"]
+__all__ = ["Detections", "cluster", "poles", "reflectors", "trunks"]

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from tomthumb.scenarios.catalogue import Entry, entries, load, parameters
+from tomthumb.scenarios.inspection import info, suggest
 
-__all__ = ["Entry", "entries", "load", "parameters"]
+__all__ = ["Entry", "entries", "info", "load", "parameters", "suggest"]

@@ -1,0 +1,113 @@
+"""UTIAS MRCLAM: five robots with cameras among barcode tubes, nine published sets of the same layout."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from tomthumb.errors import BrokenFile, TomThumbError
+from tomthumb.models.motion import Velocity
+from tomthumb.models.sensor import RangeBearing
+from tomthumb.scenarios.reading import increasing, known, pose_at, read_bytes, table, whole
+from tomthumb.scenarios.timeline import group, steps, timeline
+from tomthumb.types import Array, Observations, Prior, Scenario, Truth
+
+SUFFIXES = ("", ".xz", ".gz", ".bz2")
+ROBOTS = 5
+# Residuals against Vicon: range 0.07 to 0.18 m by robot, with a bias up to 0.07 m; bearing 0.3 to 1.1 deg; a few
+# percent of the sightings are off by 0.5 m and more. The stds cover the worst robot.
+STD = (0.15, math.radians(1.2))
+# The controls are commands, not measurements: dead reckoning is off by up to 1.1 m after a minute. As noise of each
+# command of 0.012 s these stds give about that.
+CONTROL_STD = (0.2, 0.3)
+LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
+MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
+
+
+def mrclam(path: Path, *, robot: int = 1) -> Scenario:
+    """One robot of a set: the folder with Barcodes.dat, Landmark_Groundtruth.dat and RobotN_*.dat (plain, .xz or .gz).
+
+    Sightings of other robots and of barcodes that belong to nobody are left out. The log starts where both odometry and
+    ground truth (if there is any) have begun. Without ground truth the robot starts at (0, 0, 0).
+
+    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5.
+    """
+    if not 1 <= robot <= ROBOTS:
+        raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
+    folder = _folder(Path(path))
+    landmarks, index = _landmarks(folder)
+    odometry = _read(folder, f"Robot{robot}_Odometry", 3)
+    if not len(odometry):
+        raise BrokenFile(folder / f"Robot{robot}_Odometry.dat", "holds no odometry")
+    sightings = _read(folder, f"Robot{robot}_Measurement", 4)
+    codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
+    ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
+    sightings, ids = sightings[ids >= 0], ids[ids >= 0]
+    truth = _ground_truth(folder, robot)
+    start = float(odometry[0, 0] if truth is None else max(odometry[0, 0], truth[0, 0]))
+    seen = sightings[:, 0] >= start
+    sightings, ids = sightings[seen], ids[seen]
+    scans = group(sightings[:, 0])
+    poses = np.full((len(scans.t), 3), np.nan)
+    first = np.zeros(3)
+    if truth is not None:
+        poses = pose_at(scans.t, truth[:, 0], truth[:, 1:], LONGEST_GAP)
+        first = pose_at(np.array([start]), truth[:, 0], truth[:, 1:], np.inf)[0]
+    R = np.diag(np.square(STD))
+
+    def scan(i: int) -> tuple[Observations, Truth]:
+        rows = scans.rows(i)
+        z = sightings[rows, 2:4]
+        return Observations(z, np.tile(R, (len(z), 1, 1))), Truth(known(poses[i]), ids[rows])
+
+    return Scenario(
+        name=f"mrclam robot {robot}",
+        motion=Velocity(std=CONTROL_STD),
+        sensor=RangeBearing(max_range=MAX_RANGE, fov=FOV, std=STD, detect=DETECT, clutter=1e-3),
+        prior=Prior(first, np.zeros((3, 3))),
+        steps=steps(timeline(odometry[:, 0], scans.t, start), odometry[:, 1:], scan),
+        landmarks=landmarks,
+        info={"file": str(folder), "robot": robot},
+    )
+
+
+def _folder(path: Path) -> Path:
+    """The folder of the set: `path`, or its only subfolder that is one."""
+    path = path if path.is_dir() else path.parent
+    if _find(path, "Barcodes") is not None:
+        return path
+    inside = [p.parent for p in sorted(path.glob("*/Barcodes.dat*"))]
+    if len(inside) != 1:
+        raise BrokenFile(path, f"holds {len(inside)} folders with a Barcodes.dat: name the one of the set")
+    return inside[0]
+
+
+def _find(folder: Path, name: str) -> Path | None:
+    return next((file for s in SUFFIXES if (file := folder / f"{name}.dat{s}").exists()), None)
+
+
+def _read(folder: Path, name: str, columns: int) -> Array:
+    file = _find(folder, name)
+    if file is None:
+        raise BrokenFile(folder, f"holds no {name}.dat")
+    rows = table(read_bytes(file), file, columns)
+    if name.startswith("Robot"):
+        increasing(rows[:, 0], file)
+    return rows
+
+
+def _landmarks(folder: Path) -> tuple[Array, dict[int, int]]:
+    """The landmarks (n, 2) and, for each barcode of one, its row."""
+    tubes = _read(folder, "Landmark_Groundtruth", 5)
+    subjects = {int(s): row for row, s in enumerate(tubes[:, 0])}
+    pairs = _read(folder, "Barcodes", 2).astype(np.int64)
+    return tubes[:, 1:3], {int(code): subjects[int(s)] for s, code in pairs if int(s) in subjects}
+
+
+def _ground_truth(folder: Path, robot: int) -> Array | None:
+    if _find(folder, f"Robot{robot}_Groundtruth") is None:
+        return None
+    rows = _read(folder, f"Robot{robot}_Groundtruth", 4)
+    return rows if len(rows) else None
