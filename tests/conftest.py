@@ -11,8 +11,8 @@ import pytest
 def find_data() -> Path | None:
     """The folder of logs: TOMTHUMB_DATA, or shared/data beside the checkout."""
     named = os.environ.get("TOMTHUMB_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
-    return folder if folder.is_dir() else None
+    places = [Path(named)] if named else [above / "shared" / "data" for above in Path(__file__).resolve().parents[2:]]
+    return next((place for place in places if place.is_dir()), None)
 
 
 @pytest.fixture(scope="session")

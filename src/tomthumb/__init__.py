@@ -20,7 +20,7 @@ _PUBLIC = {
     "run": "tomthumb.runner",
     "evaluate": "tomthumb.metrics",
     "load": "tomthumb.scenarios",
-    "minimize": "tomthumb.forest.minimize",
+    "minimize": "tomthumb.optimize",
     "simulated_tom_thumb": "tomthumb.forest",
     "Slam": "tomthumb.slam",
     "LifeCycle": "tomthumb.lifecycle",

@@ -49,7 +49,7 @@ class Life:
     """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks."""
 
     seen: int
-    hits: int = 1
+    hits: float = 1.0
     chances: float = 1.0
     static: int = 1
     companions: set[int] = field(default_factory=set)
@@ -57,8 +57,8 @@ class Life:
 
     @property
     def exist(self) -> float:
-        """Probability that there is such a landmark."""
-        return (self.hits + 0.5) / (self.chances + 1.0)
+        """Probability that there is such a landmark, from its sightings and its opportunities."""
+        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
 
 
 Ledger = dict[int, Life]
@@ -81,18 +81,16 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
     gate2 = chdtri(2, 1.0 - policy.gate)
     for i, distance in zip(ids, d2, strict=True):
         life = ledger[i]
-        life.hits += 1
+        life.hits += 1.0
         life.chances += 1.0
         life.seen = scan
         life.static += distance < gate2
 
 
-def record_misses(ledger: Ledger, predictions: Predictions, seen: set[int], detect: float, policy: LifeCycle) -> None:
-    """Landmarks well inside the field of view that were not seen."""
-    chance = predictions.visible if predictions.visible is not None else np.ones(len(predictions))
-    for i in predictions.ids[chance > policy.in_view * detect]:
-        if int(i) not in seen:
-            ledger[int(i)].chances += 1.0
+def record_misses(ledger: Ledger, missed: Ids, chance: Array) -> None:
+    """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
+    for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
+        ledger[i].chances += p
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
@@ -105,7 +103,7 @@ def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: b
     """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
-    ready = [i for i in crumbs if ledger[i].static >= wanted and 2 * ledger[i].static > ledger[i].hits]
+    ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
     return np.array(ready, np.int64)
 
 
@@ -127,6 +125,21 @@ def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:
     free = np.ones_like(taken) if policy.reference else ~taken
     new: Mask = ~(d2[:, free] < gate2).any(1) if d2.shape[1] else np.ones(len(d2), bool)
     return new
+
+
+def named_late(d2: Array, taken: Mask, predictions: Predictions, policy: LifeCycle) -> Ids:
+    """Columns (m,) of ambiguous observations that only one free stone explains, and that alone explain it; else -1.
+
+    A gate must not cost pairs by itself: such an observation is given the landmark's name, but never moves the filter.
+    """
+    late = np.full(len(d2), -1, np.int64)
+    if policy.reference or predictions.stone is None or not d2.size:
+        return late
+    close = (d2 < chdtri(2, 1.0 - policy.apart)) & ~taken[None]
+    alone = close & (close.sum(1) == 1)[:, None] & (close.sum(0) == 1)[None] & predictions.stone[None]
+    rows, columns = np.nonzero(alone)
+    late[rows] = columns
+    return late
 
 
 def duplicates(ledger: Ledger, predictions: Predictions, seen: set[int], policy: LifeCycle) -> list[tuple[int, int]]:

@@ -47,7 +47,9 @@ def associate(
     from tomthumb import registry
 
     if method == "oracle":
-        raise TomThumbError("method 'oracle' needs the truth, which plain arrays do not hold; valid: any other associator")
+        raise TomThumbError(
+            "method 'oracle' needs the truth, which plain arrays do not hold; valid: any other associator"
+        )
     rng = rng if rng is not None else np.random.default_rng(0)
     seen, noise = _observed(z, R)
     predictions = _predicted(z_hat, cov, pose_cov, cross, points, detect, check)
@@ -79,7 +81,9 @@ def _array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         raise TomThumbError(f"{name} is not an array of numbers") from None
     if array.size == 0 and 0 in array.shape and len(shape) > 0:
         array = array.reshape(tuple(0 if s is None else s for s in shape)) if None in shape else array
-    fits = array.ndim == len(shape) and all(want is None or got == want for got, want in zip(array.shape, shape, strict=True))
+    fits = array.ndim == len(shape) and all(
+        want is None or got == want for got, want in zip(array.shape, shape, strict=True)
+    )
     if not fits:
         wanted = ", ".join("any" if s is None else str(s) for s in shape)
         raise TomThumbError(f"{name} has shape {array.shape}; it must be ({wanted})")

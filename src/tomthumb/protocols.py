@@ -70,6 +70,11 @@ class Sensor(Protocol):
         """Full opening angle, rad."""
         ...
 
+    @property
+    def memory(self) -> tuple[float, float]:
+        """Path, m, over which the error of each component of z repeats itself; 0 where every scan errs anew."""
+        ...
+
     def scale(self, z: Array) -> Array:
         """m2 of the plane per unit of z at each z (m,): turns a density per m2 into one per unit of z."""
         ...

@@ -28,6 +28,8 @@ BUILT_IN: dict[str, dict[str, str]] = {
     },
     "estimator": {
         "ekf": "tomthumb.estimators.ekf:EKF",
+        "iekf": "tomthumb.estimators.ekf:InvariantEKF",
+        "fastslam": "tomthumb.estimators.fastslam:FastSLAM",
     },
     "scenario": {},  # scenarios have a catalogue of their own: tomthumb.scenarios
 }

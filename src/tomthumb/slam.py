@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from tomthumb import lifecycle
-from tomthumb.errors import Diverged, TomThumbError
+from tomthumb.checks import check_step
+from tomthumb.errors import Diverged
 from tomthumb.kernels.gates import innovations
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
 from tomthumb.types import (
     Array,
     Association,
@@ -33,6 +35,8 @@ from tomthumb.types import (
     StepRecord,
 )
 
+TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
+STILL = 1e-4  # m: a scan at rest still counts for that much
 EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
@@ -50,20 +54,17 @@ class Branch:
     events: tuple[Any, str, int, int, int] | None = None  # (earlier events, kind, id, other id, step)
 
 
-@dataclass(slots=True)
-class Clutter:
-    """Running estimate of the density of unexplained observations, per m2 and scan: starts at `prior`, worth `weight` scans."""
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One scan three times over: as it came, with honest noise (for gates), and with the noise of what is news in it."""
 
-    area: float
-    prior: float = 0.3
-    weight: float = 5.0
-    scans: float = 0.0
-    count: float = 0.0
+    raw: Observations
+    honest: Observations
+    news: Observations
+    serials: Ids
 
-    @property
-    def density(self) -> float:
-        """Observations that nothing explained, per m2 and scan."""
-        return (self.prior * self.weight + self.count / self.area) / (self.weight + self.scans)
+    def __len__(self) -> int:
+        return len(self.serials)
 
 
 class Slam:
@@ -94,9 +95,12 @@ class Slam:
         self.teacher, self.teach_steps = teacher, teach_steps
         self.rng_estimator, self.rng_associator = rng or (np.random.default_rng(1), np.random.default_rng(2))
         self.branches = [Branch(estimator.init(prior.pose, prior.cov, self.rng_estimator), {})]
-        self.clutter = Clutter(_area(sensor))
+        self.clutter = Clutter(area_in_view(sensor))
+        self.detection = DetectionMap(sensor.detect)
         self.t, self.index, self.scan, self.serial = -math.inf, 0, 0, 0
         self.last_control: Control | None = None
+        self.surprise = Surprise()
+        self.moved = math.inf  # m since the last scan: how much of it is news, for sensors that repeat their errors
         self.failure: str | None = None
 
     def stream(self, steps: Iterable[Step]) -> Iterator[StepRecord]:
@@ -115,7 +119,7 @@ class Slam:
         """
         begin = perf_counter()
         seen = observations or EMPTY
-        _check_step(self.index, t, self.t, control, seen)
+        check_step(self.index, t, self.t, control, seen)
         for branch in self.branches:
             self._predict(branch, t, control)
         self.t = t
@@ -139,35 +143,59 @@ class Slam:
         if control is None:
             if self.last_control is None or not self.motion.rates or t <= self.t:
                 return
-            held = replace(self.last_control, dt=t - self.t)
-            branch.belief = self.estimator.predict(branch.belief, held, self.rng_estimator)
+            self._move(branch, replace(self.last_control, dt=t - self.t))
             return
         self.last_control = control
         left = t - self.t
         if self.motion.rates and 0.0 < left < control.dt * (1.0 - 1e-9):
             control = replace(control, dt=left)
         if control.dt > 0.0 or not self.motion.rates:
-            branch.belief = self.estimator.predict(branch.belief, control, self.rng_estimator)
+            self._move(branch, control)
+
+    def _move(self, branch: Branch, control: Control) -> None:
+        branch.belief = self.estimator.predict(branch.belief, control, self.rng_estimator)
+        if branch is self.branches[0] and any(self.sensor.memory):
+            delta, _ = self.motion.increment(control)
+            self.moved += math.hypot(delta[0], delta[1]) + abs(delta[2]) * TURN
+
+    def _honest(self, seen: Observations) -> Observations:
+        """The scan with R raised where the residuals of the last scans say that it claims too little."""
+        scale = self.surprise.scale
+        return seen if scale == 1.0 else replace(seen, R=seen.R * scale)
+
+    def _news(self, seen: Observations) -> Observations:
+        """The scan with its noise raised to what it adds: errors that repeat over `memory` m are not averaged away.
+
+        N scans within a correlation length hold the news of path / (2 length) independent ones (AR(1) noise).
+        """
+        if not any(self.sensor.memory) or not math.isfinite(self.moved):
+            return seen
+        share = [min(1.0, max(self.moved, STILL) / length) if length > 0.0 else 1.0 for length in self.sensor.memory]
+        raised = 1.0 / np.sqrt(np.array(share))
+        return replace(seen, R=seen.R * np.outer(raised, raised))
 
     # --- association ------------------------------------------------------------------------------------------------
 
     def _take_in(self, seen: Observations, serials: Ids) -> tuple[float, dict[str, Any]]:
         begin = perf_counter()
-        children = [child for branch in self.branches for child in self._children(branch, seen, serials)]
+        honest = self._honest(seen)
+        scan = Scan(seen, honest, self._news(honest), serials)
+        children = [child for branch in self.branches for child in self._children(branch, scan)]
         children.sort(key=lambda c: -c[0].log_weight)
         children = children[: self.width]
         top = children[0][0].log_weight
         spent = perf_counter() - begin
+        self.moved = 0.0
         for branch, predictions, matches, _ in children:
             branch.log_weight -= top
-            self._settle(branch, seen, serials, predictions, matches)
+            self._settle(branch, scan, predictions, matches)
         self.branches = [c[0] for c in children]
         return spent, children[0][3]
 
-    def _children(self, branch: Branch, seen: Observations, serials: Ids) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
+    def _children(self, branch: Branch, scan: Scan) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
         """The branch with each hypothesis of its associator. Many predictions (particles) take the best one each."""
-        every = [lifecycle.with_existence(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
-        found = [self._ask(p, seen, serials) for p in every]
+        every = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        found = [self._ask(p, scan) for p in every]
         if len(every) > 1 or len(found[0]) == 1:
             branch.log_weight += found[0][0].log_weight
             return [(branch, every, [f[0].match for f in found], dict(found[0][0].info))]
@@ -179,14 +207,21 @@ class Slam:
             child.log_weight += weight
         return [item[:4] for item in out]
 
+    def _expected(self, predictions: Predictions, ledger: Ledger) -> Predictions:
+        """The predictions with what the life so far says: existence, and detection where each landmark stands."""
+        if predictions.points is not None and predictions.visible is not None and len(predictions):
+            learned = self.detection.chance(predictions.points) / self.detection.prior
+            predictions = replace(predictions, visible=np.minimum(predictions.visible * learned, 0.999))
+        return lifecycle.with_existence(predictions, ledger)
+
     def _fork(self, branch: Branch) -> Branch:
         belief, ledger = self.estimator.fork(branch.belief), lifecycle.copy_ledger(branch.ledger)
         return replace(branch, belief=belief, ledger=ledger, crumbs=set(branch.crumbs))
 
-    def _ask(self, predictions: Predictions, seen: Observations, serials: Ids) -> Sequence[Association]:
+    def _ask(self, predictions: Predictions, scan: Scan) -> Sequence[Association]:
         teaching = self.teacher is not None and self.index < self.teach_steps
         who = self.teacher if teaching and self.teacher is not None else self.associator
-        return who.associate(self.problem(predictions, seen, serials), self.rng_associator)
+        return who.associate(self.problem(predictions, scan.honest, scan.serials), self.rng_associator)
 
     def problem(self, predictions: Predictions, seen: Observations, serials: Ids) -> AssociationProblem:
         """The scan against one set of predictions, as associators are given it."""
@@ -198,58 +233,81 @@ class Slam:
 
     # --- naming, update, life cycle ---------------------------------------------------------------------------------
 
-    def _settle(self, branch: Branch, seen: Observations, serials: Ids, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
+    def _settle(self, branch: Branch, scan: Scan, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
         """Names, update, evidence, promotions, deaths, births, merging, for one branch."""
         named = [np.where(m >= 0, p.ids[m], -1) if len(p) else m for p, m in zip(every, matches, strict=True)]
-        branch.belief = self.estimator.update(branch.belief, seen, named, self.rng_estimator)
+        branch.belief = self.estimator.update(branch.belief, scan.news, named, self.rng_estimator)
         ids, predictions = named[0], every[0]
         hit = ids >= 0
-        self._evidence(branch, predictions, matches[0], seen, ids)
-        born = self._births(branch, seen, serials, named)
-        self._promote(branch, ids[hit].tolist() + serials[born].tolist())
+        self._evidence(branch, predictions, matches[0], scan, ids)
+        born, late = self._births(branch, scan, named)
+        self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
             self._merge(branch, predictions, set(ids[hit].tolist()))
         self.clutter.count += float(np.count_nonzero(~hit))
         self.clutter.scans += 1.0
-        branch.paired = ids
-        branch.ids = np.where(born, serials, ids)
+        branch.paired = np.where(late >= 0, late, ids)
+        branch.ids = np.where(born, scan.serials, branch.paired)
         who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None
         if who is None or who is not self.associator:
             self.associator.learn(branch.ids, self.t)
 
-    def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, seen: Observations, ids: Ids) -> None:
+    def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, scan: Scan, ids: Ids) -> None:
         rows = np.flatnonzero(ids >= 0)
         paired = ids[rows].tolist()
-        d2 = _pair_distances(predictions, seen, match, rows, _wrapped(self.sensor))
+        d2 = _pair_distances(predictions, scan.honest, match, rows, _wrapped(self.sensor))
+        if branch is self.branches[0]:
+            self.surprise.record(_pair_distances(predictions, scan.raw, match, rows, _wrapped(self.sensor)))
         lifecycle.record_hits(branch.ledger, paired, d2, self.scan, self.policy)
-        lifecycle.record_misses(branch.ledger, predictions, set(paired), self.sensor.detect, self.policy)
+        self._opportunities(branch, predictions, set(paired))
         lifecycle.record_companions(branch.ledger, paired)
-        if seen.labels is not None:
-            for i, label in zip(paired, seen.labels[rows].tolist(), strict=True):
+        if scan.raw.labels is not None:
+            for i, label in zip(paired, scan.raw.labels[rows].tolist(), strict=True):
                 branch.ledger[i].label = label if label >= 0 else branch.ledger[i].label
 
-    def _births(self, branch: Branch, seen: Observations, serials: Ids, named: Sequence[Ids]) -> Any:
-        """Observations that found a crumb, (m,) bool for the first particle; others only where theirs are free too."""
-        born = np.zeros(len(seen), bool)
+    def _opportunities(self, branch: Branch, predictions: Predictions, hit: set[int]) -> None:
+        """Who was well in view, and was or was not seen: for each landmark's existence and for the map of detection."""
+        if predictions.visible is None or predictions.points is None or not len(predictions):
+            return
+        chance = self.detection.chance(predictions.points)
+        inside = predictions.visible > self.policy.in_view * np.minimum(chance, 0.999)
+        seen = np.array([i in hit for i in predictions.ids.tolist()], bool)
+        missed = inside & ~seen
+        lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed])
+        if predictions.stone is not None and branch is self.branches[0]:
+            known = inside & predictions.stone
+            self.detection.record(predictions.points[known], seen[known])
+
+    def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
+        """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
+        nobody = np.full(len(scan), -1, np.int64)
         if (named[0] >= 0).all() and len(named) == 1:
-            return born
+            return nobody >= 0, nobody
         fresh = self.estimator.expect(branch.belief)
-        founded = []
-        for predictions, ids in zip(fresh, named, strict=True):
-            rows = np.flatnonzero(ids < 0)
-            loose = self.problem(predictions, seen.take(rows), serials[rows])
-            taken = np.isin(predictions.ids, ids[ids >= 0])
-            new = np.full(len(seen), -1, np.int64)
-            new[rows[lifecycle.may_be_born(loose.d2, taken, self.policy)]] = 1
-            founded.append(np.where(new > 0, serials, -1))
-        branch.belief = self.estimator.add(branch.belief, seen, founded, self.rng_estimator)
-        anywhere = np.max(founded, axis=0) >= 0
-        for row in np.flatnonzero(anywhere):
-            label = -1 if seen.labels is None else int(seen.labels[row])
-            branch.ledger[int(serials[row])] = Life(self.scan, label=label)
-            branch.crumbs.add(int(serials[row]))
-        return founded[0] >= 0
+        told = [self._unexplained(p, ids, scan) for p, ids in zip(fresh, named, strict=True)]
+        founded = [founders for founders, _ in told]
+        branch.belief = self.estimator.add(branch.belief, scan.raw, founded, self.rng_estimator)
+        for row in np.flatnonzero(np.max(founded, axis=0) >= 0):
+            label = -1 if scan.raw.labels is None else int(scan.raw.labels[row])
+            branch.ledger[int(scan.serials[row])] = Life(self.scan, label=label)
+            branch.crumbs.add(int(scan.serials[row]))
+        return founded[0] >= 0, told[0][1]
+
+    def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan) -> tuple[Ids, Ids]:
+        """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1."""
+        rows = np.flatnonzero(ids < 0)
+        loose = self.problem(predictions, scan.honest.take(rows), scan.serials[rows])
+        taken = np.isin(predictions.ids, ids[ids >= 0])
+        new = lifecycle.may_be_born(loose.d2, taken, self.policy)
+        if not new.all():
+            raw = self.problem(predictions, scan.raw.take(rows[~new]), scan.serials[rows[~new]])
+            self.surprise.record(np.where(taken, np.inf, raw.d2).min(1).tolist())
+        founders, late = np.full(len(scan), -1, np.int64), np.full(len(scan), -1, np.int64)
+        founders[rows[new]] = scan.serials[rows[new]]
+        column = lifecycle.named_late(loose.d2, taken, predictions, self.policy)
+        late[rows] = np.where(column >= 0, predictions.ids[column], -1) if len(predictions) else -1
+        return founders, late
 
     def _promote(self, branch: Branch, candidates: list[int]) -> None:
         crumbs = [i for i in candidates if i in branch.crumbs]
@@ -278,7 +336,11 @@ class Slam:
         """Two stones of a branch become one; the survivor inherits hits and companions."""
         branch.belief = self.estimator.merge(branch.belief, keep, drop)
         lost, life = branch.ledger.pop(drop), branch.ledger[keep]
-        life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
+        life.hits, life.chances, life.static = (
+            life.hits + lost.hits,
+            life.chances + lost.hits,
+            life.static + lost.static,
+        )
         life.companions |= lost.companions
         life.seen = max(life.seen, lost.seen)
         branch.events = (branch.events, "merged", drop, keep, self.index)
@@ -289,7 +351,11 @@ class Slam:
             best.ids = best.paired = np.empty(0, np.int64)
         estimate = self.estimator.pose(best.belief)
         for branch in self.branches:
-            branch.history = (branch.history, branch.ids, estimate[0] if branch is best else self.estimator.pose(branch.belief)[0])
+            branch.history = (
+                branch.history,
+                branch.ids,
+                estimate[0] if branch is best else self.estimator.pose(branch.belief)[0],
+            )
         stats = self.estimator.stats(best.belief) if len(serials) else {"nis": 0.0, "dof": 0}
         begin, predicted, spent = clock
         end = perf_counter()
@@ -299,12 +365,6 @@ class Slam:
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats["nis"]), int(stats["dof"]), len(best.ledger), info,
         )  # fmt: skip
-
-
-def _area(sensor: Sensor) -> float:
-    """Plane in view, m2; a sensor without limit of range is given 10 m, since only the order of magnitude matters."""
-    reach = sensor.max_range if math.isfinite(sensor.max_range) else 10.0
-    return 0.5 * sensor.fov * reach * reach
 
 
 def _wrapped(sensor: Sensor) -> Array:
@@ -320,36 +380,3 @@ def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, ro
     from tomthumb.kernels.gates import paired_distances
 
     return paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped).tolist()
-
-
-def _check_step(index: int, t: float, last: float, control: Control | None, seen: Observations) -> None:
-    """Everything that cannot be, said in one line. Raises `TomThumbError`."""
-    if not math.isfinite(t):
-        raise TomThumbError(f"step {index}: the time is {t}; it must be finite")
-    if t < last:
-        raise TomThumbError(f"step {index}: time runs back from {last:g} s to {t:g} s")
-    if control is not None and not (np.isfinite(control.u).all() and math.isfinite(control.dt) and control.dt >= 0):
-        raise TomThumbError(f"step {index}: the control {control.u} over {control.dt} s must be finite, its time not negative")
-    if control is not None and control.cov is not None and not _positive(control.cov, semi=True):
-        raise TomThumbError(f"step {index}: the control's covariance is not positive semi-definite")
-    check_observations(seen, f"step {index}")
-
-
-def check_observations(seen: Observations, where: str) -> None:
-    """Shapes, finite values, positive definite noise. Raises `TomThumbError`."""
-    m = len(seen.z)
-    if seen.z.shape != (m, 2) or seen.R.shape != (m, 2, 2):
-        raise TomThumbError(f"{where}: z {seen.z.shape} and R {seen.R.shape} must be (m, 2) and (m, 2, 2)")
-    if not np.isfinite(seen.z).all():
-        raise TomThumbError(f"{where}: observation {int(np.argwhere(~np.isfinite(seen.z))[0, 0])} is not finite")
-    a, b, c, d = seen.R[:, 0, 0], seen.R[:, 0, 1], seen.R[:, 1, 0], seen.R[:, 1, 1]
-    good = (a > 0) & (a * d - b * c > 0) & (np.abs(b - c) <= 1e-9 * (a + d))
-    if not good.all():
-        raise TomThumbError(f"{where}: the covariance of observation {int(np.argmin(good))} is not positive definite")
-
-
-def _positive(matrix: Array, semi: bool = False) -> bool:
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
-        return False
-    low = float(np.linalg.eigvalsh(matrix)[0])
-    return low >= -1e-12 * float(np.trace(matrix)) if semi else low > 0.0

@@ -32,8 +32,8 @@ CONTENDERS = (
     Contender("ground truth", "oracle", UNTAUGHT),
     Contender("NN", "nn", UNTAUGHT),
     Contender("JCBB", "jcbb", UNTAUGHT),
-    Contender("STT, untaught", "stt", UNTAUGHT),
-    Contender("STT, taught one lap", "stt", TAUGHT),
+    Contender("STT untaught", "stt", UNTAUGHT),
+    Contender("STT taught", "stt", TAUGHT),
 )
 
 
@@ -121,7 +121,7 @@ def _pictures(outcomes: Sequence[Outcome]) -> dict[str, Picture]:
     return pictures
 
 
-_PAPER = {"JCBB": "Figure 6", "STT, taught one lap": "Figure 7"}
+_PAPER = {"JCBB": "Figure 6", "STT taught": "Figure 7"}
 _FIGURE_5 = "Red: the true landmarks and the true path of the robot, as in the paper's figure 5."
 _FIGURE_6 = (
     "Trail, map and the errors in x and y with their 99 % bounds, associations by {associator}. Crosses on the trail: "
@@ -129,23 +129,30 @@ _FIGURE_6 = (
 )
 
 
+_WIDE = 130  # columns of a terminal that take the whole table
+
+
 def _file_name(label: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in label.lower()).strip("_").replace("__", "_")
 
 
 def _print(outcomes: Sequence[Outcome], out: Path) -> None:
+    from rich.box import SIMPLE
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    from tomthumb.report.tables import OVERVIEW
+    from tomthumb.report.tables import NARROW, OVERVIEW
 
-    table = Table(title="who is who in the cloister")
-    table.add_column("", no_wrap=True)
-    for column in OVERVIEW:
+    console = Console()
+    columns = OVERVIEW if console.width >= _WIDE else [c for c in OVERVIEW if c.key in NARROW]
+    table = Table(title="who is who in the cloister", box=SIMPLE, padding=0)
+    table.add_column("")
+    for column in columns:
         table.add_column(column.heading, justify="right")
     for outcome in outcomes:
-        table.add_row(outcome.row["label"], *(column.text(outcome.row) for column in OVERVIEW))
-    Console().print(table)
+        table.add_row(escape(outcome.row["label"]), *(column.text(outcome.row) for column in columns))
+    console.print(table)
     for outcome in outcomes:
         if outcome.row["failure"]:
             common.say(f"{outcome.row['label']}: the filter failed: {outcome.row['failure']}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
@@ -36,7 +37,12 @@ def _entries(kind: str) -> Iterator[dict[str, Any]]:
         from tomthumb.scenarios import entries, parameters
 
         for entry in entries().values():
-            yield {"name": entry.name, "needs": entry.needs, "help": entry.help, "parameters": parameters(entry.name)}
+            yield {
+                "name": entry.name,
+                "needs": entry.needs,
+                "help": entry.help,
+                "parameters": _plain_values(parameters(entry.name)),
+            }
         return
     from tomthumb import registry
 
@@ -54,7 +60,19 @@ def _defaults(factory: Any) -> dict[str, Any]:
     from tomthumb.registry import parameters_of
 
     known = parameters_of(factory)
-    return {name: p.default for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+    given = {name: p.default for name, p in known.items() if name not in GIVEN and p.default is not p.empty}
+    return _plain_values(given)
+
+
+def _plain_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _plain(value) for key, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can hold it: infinity by name, everything that is no scalar or sequence by its text."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, (bool, int, float, str, list, tuple, type(None))) else str(value)
 
 
 def _print_table(kind: str, entries: list[dict[str, Any]]) -> None:

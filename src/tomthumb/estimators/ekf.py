@@ -1,289 +1,166 @@
-"""EKF-SLAM: one Gaussian over the pose and the landmarks.
+"""EKF-SLAM: one Gaussian over the pose and the landmarks, with the usual or the right-invariant error.
 
 Covariance. Only the lower triangle is kept, so it cannot become asymmetric. An update subtracts W W' (W = P H' L^-T,
-L L' = S) in one BLAS call (dsyrk), with S computed from the same P; S that is not positive definite, a negative variance
-or a value that is not finite is named: `Diverged`.
+L L' = S) in one pass, with S computed from the same P; S that is not positive definite, a negative variance or a value
+that is not finite is named: `Diverged`.
 
 Update. Iterated (Gauss-Newton) until the linearisation error is below `tolerance` of the sensor's noise; one iteration
 is enough most of the time and then costs one more evaluation of the sensor. Pairings with crumbs are Schmidt updates:
 the crumb learns from the pose, never the other way round.
 
+Invariant error. xi = (p - R(e) p_hat, e, l - R(e) l_hat), e the error of the heading. It stays Gaussian where the usual
+one bends, and a turn of the whole map stays unobservable whatever the estimate. What is stored is the covariance of the
+usual error delta = T(x_hat) xi, T = I + J x_hat e': its prediction is then the usual one, linear in the number of
+landmarks, and an update that moves x_hat by `change` leaves xi's covariance as it is, so that
+P <- (I + v e') P (I + v e')' with v = J change (J turns the position and every landmark by 90 deg).
+
+Maps of more than `local` landmarks are worked on by regions (`estimators.local`), to the same result.
+
 References: R. Smith, M. Self, P. Cheeseman, 1990; B. Bell, F. Cathey, IEEE T-AC 38(2), 1993 (iterated update is
-Gauss-Newton); S. Schmidt, 1966 (considered states).
+Gauss-Newton); S. Schmidt, 1966 (considered states); A. Barrau, S. Bonnabel, "An EKF-SLAM algorithm with consistency
+properties", arXiv:1510.06263, 2015, sec. 3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
-from tomthumb import geometry
-from tomthumb.errors import Diverged
-from tomthumb.kernels import ekf as kernel
-from tomthumb.kernels.gates import expect_cartesian
+from tomthumb.errors import TomThumbError
+from tomthumb.estimators import gaussian, local
+from tomthumb.estimators.core import Core
+from tomthumb.estimators.local import Atlas
+from tomthumb.kernels import storage
 from tomthumb.protocols import Motion, Rng, Sensor
-from tomthumb.types import Array, Control, Estimate, Ids, Mask, Observations, Predictions
-
-GROWTH = 32  # landmarks of room added at least, when the buffers are full
-UNSEEN = 1e-4  # a landmark less likely to be in view than this is not offered to the associator
+from tomthumb.types import Array, Control, Estimate, Ids, Observations, Predictions
 
 
-@dataclass(slots=True)
-class Gaussian:
-    """Mean `x (3 + 2n,)` and covariance, lower triangle, in buffers with room to grow. `ids` and `stone` by slot."""
-
-    x: Array
-    P: Array
-    ids: list[int]
-    stone: list[bool]
-    slot: dict[int, int]
-    stats: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def dim(self) -> int:
-        """Length of the state in use."""
-        return 3 + 2 * len(self.ids)
-
-    @property
-    def pose(self) -> Array:
-        """A view of the pose (3,)."""
-        return self.x[:3]
-
-    def landmarks(self) -> Array:
-        """A view of the landmarks (n, 2)."""
-        return self.x[3 : self.dim].reshape(-1, 2)
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class EKF:
-    """The filter's settings. `iterations` at most; `fixed` runs exactly that many (the reference program's way)."""
+    """The filter's settings.
+
+    `invariant`: right-invariant error. `iterations` at most; `fixed` runs exactly that many. `faithful`: the reference
+    program's filter, four fixed iterations with the usual error. `outliers`: pairings whose own d2 passes this
+    chi-square probability are left out of the update (0: none are). `local`: maps of more landmarks are worked on by
+    regions that reach `margin` times the sensor's range beyond it (0: never). `calibrate` names systematic errors of
+    the odometry that are estimated as states (`models.calibration`), with prior standard deviations `calibrate_std`.
+    Raises `TomThumbError` for settings that cannot be.
+    """
 
     motion: Motion
     sensor: Sensor
+    invariant: bool = False
     iterations: int = 10
     fixed: bool = False
     tolerance: float = 0.02
+    faithful: bool = False
+    outliers: float = 0.0
+    local: int = 200
+    margin: float = 1.0
+    calibrate: tuple[str, ...] = ()
+    calibrate_std: tuple[float, ...] = ()
 
-    def init(self, pose: Array, cov: Array, rng: Rng) -> Gaussian:
-        """See `protocols.Estimator`."""
-        size = 3 + 2 * GROWTH
-        x, P = np.zeros(size), np.zeros((size, size), order="F")
-        x[:3], P[:3, :3] = pose, cov
-        return Gaussian(x, P, [], [], {})
+    def __post_init__(self) -> None:
+        _check(self)
 
-    def fork(self, belief: Gaussian) -> Gaussian:
-        """See `protocols.Estimator`."""
-        b = belief
-        return Gaussian(b.x.copy(), b.P.copy(order="F"), b.ids.copy(), b.stone.copy(), b.slot.copy(), dict(b.stats))
+    @cached_property
+    def core(self) -> Core:
+        """The filter over one `Gaussian`."""
+        e = replace(self, invariant=False, iterations=4, fixed=True) if self.faithful else self
+        return Core(
+            e.motion, e.sensor, e.invariant, e.iterations, e.fixed, e.tolerance, e.outliers,
+            tuple(e.calibrate), tuple(e.calibrate_std),
+        )  # fmt: skip
 
-    def predict(self, belief: Gaussian, control: Control, rng: Rng) -> Gaussian:
+    def init(self, pose: Array, cov: Array, rng: Rng) -> Atlas:
         """See `protocols.Estimator`."""
-        delta, cov = self.motion.increment(control)
-        F, G = geometry.compose_jacobians(belief.pose, delta)
-        belief.x[:3] = geometry.compose(belief.pose, delta)
-        kernel.move_pose(belief.P, belief.dim, F, G @ cov @ G.T)
+        return Atlas(self.core.begin(pose, cov))
+
+    def fork(self, belief: Atlas) -> Atlas:
+        """See `protocols.Estimator`."""
+        return local.copy(belief)
+
+    def predict(self, belief: Atlas, control: Control, rng: Rng) -> Atlas:
+        """See `protocols.Estimator`."""
+        self.core.predict(belief.active, control)
+        if self.local and len(belief.whole.ids) > self.local:
+            local.settle(belief, self.sensor, self.margin, self.invariant and not self.faithful)
         return belief
 
-    def expect(self, belief: Gaussian) -> Sequence[Predictions]:
+    def expect(self, belief: Atlas) -> Sequence[Predictions]:
         """See `protocols.Estimator`."""
-        near = self._near(belief)
-        points = belief.landmarks()[near]
-        z_hat, H_pose, H_point = self.sensor.expect(belief.pose, points)
-        own = kernel.own_blocks(belief.P, near, H_pose, H_point)
-        chance = self.sensor.in_view(z_hat, np.maximum(own[:, [0, 1], [0, 1]], 0.0))
-        keep = np.flatnonzero(chance > UNSEEN)
-        slots = near[keep]
-        C, cross = kernel.project(belief.P, slots, H_pose[keep], H_point[keep])
-        ids = np.array(belief.ids, np.int64)[slots]
-        pose_cov = _symmetric(belief.P[:3, :3])
-        seen_from = self.sensor.frame(belief.pose)
-        frame = expect_cartesian(seen_from, np.zeros(3), points[keep])[0]
-        stone = np.array(belief.stone, bool)[slots]
-        visible = chance[keep] * self.sensor.detect
-        return [Predictions(ids, z_hat[keep], C, pose_cov, cross, frame, None, visible, stone)]
+        return [self.core.expect(belief.active)]
 
-    def _near(self, belief: Gaussian) -> Ids:
-        """Slots of landmarks that could be in view at all, by distance and the position's uncertainty (5 sigma)."""
-        n, P = len(belief.ids), belief.P
-        if n == 0 or not np.isfinite(self.sensor.max_range):
-            return np.arange(n)
-        spread = 5.0 * np.sqrt(max(P[0, 0] + P[1, 1], 0.0)) + 5.0 * np.sqrt(max(np.diag(P)[3 : belief.dim].max(), 0.0))
-        offset = self.sensor.frame(belief.pose)[:2]
-        reach = self.sensor.max_range + spread
-        away = belief.landmarks() - offset
-        return np.flatnonzero((away * away).sum(1) < reach * reach)
-
-    def update(self, belief: Gaussian, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Gaussian:
+    def update(self, belief: Atlas, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Atlas:
         """See `protocols.Estimator`. Raises `Diverged`."""
-        slots = np.array([belief.slot.get(int(i), -1) for i in ids[0]], np.int64)
-        firm = np.array([s >= 0 and belief.stone[s] for s in slots], bool)
-        belief.stats = {"nis": 0.0, "dof": 0, "iterations": 0}
-        if firm.any():
-            self._update_stones(belief, observations.take(firm), slots[firm])
-        loose = np.flatnonzero((slots >= 0) & ~firm)
-        for i in loose:
-            self._update_crumb(belief, observations.z[i : i + 1], observations.R[i : i + 1], slots[i : i + 1])
-        return self._checked(belief)
-
-    def _update_stones(self, belief: Gaussian, seen: Observations, slots: Ids) -> None:
-        H_pose, H_point, residual = self._linearise(belief, seen, slots)
-        W = kernel.columns(belief.P, belief.dim, slots, H_pose, H_point)
-        S = kernel.innovation_covariance(W, slots, H_pose, H_point, seen.R)
-        good, L = kernel.cholesky(S)
-        if not good:
-            raise Diverged("the innovation covariance is not positive definite")
-        kernel.whiten(W, belief.dim, L)
-        belief.x += W @ kernel.forward(L, residual)
-        belief.x[2] = geometry.wrap_angle(belief.x[2])
-        belief.P = dsyrk(-1.0, W, beta=1.0, c=belief.P, lower=1, overwrite_c=1)
-
-    def _linearise(self, belief: Gaussian, seen: Observations, slots: Ids) -> tuple[Array, Array, Array]:
-        """Jacobians at the converged state, and the residual that leads there from the prior (Gauss-Newton)."""
-        prior_pose, prior_points = belief.pose.copy(), belief.landmarks()[slots]
-        pose, points = prior_pose, prior_points
-        sigma = np.sqrt(seen.R[:, [0, 1], [0, 1]])
-        z_hat, H_pose, H_point = self.sensor.expect(pose, points)
-        for count in range(1, self.iterations + 1):
-            nu = self._innovation(seen.z, z_hat)
-            residual = kernel.linear_residual(nu, H_pose, H_point, prior_pose - pose, prior_points - points)
-            local = kernel.local_cross(belief.P, belief.dim, slots, H_pose, H_point)
-            good, change, nis = kernel.gain_step(local, slots, H_pose, H_point, seen.R, residual)
-            if not good:
-                raise Diverged("the innovation covariance is not positive definite")
-            if count == 1:
-                belief.stats = {"nis": nis, "dof": 2 * len(slots), "iterations": count}
-            if count == self.iterations:
-                break
-            pose, old_pose = prior_pose + change[:3], pose
-            points, old_points = prior_points + change[3:].reshape(-1, 2), points
-            linear = nu - _applied(H_pose, H_point, pose - old_pose, points - old_points)
-            z_new, H_pose_new, H_point_new = self.sensor.expect(pose, points)
-            error = self._innovation(seen.z, z_new) - linear
-            belief.stats["iterations"] = count
-            if not self.fixed and np.max(np.abs(error) / sigma) < self.tolerance:
-                break
-            z_hat, H_pose, H_point = z_new, H_pose_new, H_point_new
-        return H_pose, H_point, residual
-
-    def _innovation(self, z: Array, z_hat: Array) -> Array:
-        nu = z - z_hat
-        for k in self.sensor.angles:
-            nu[:, k] = geometry.wrap(nu[:, k])
-        return nu
-
-    def _update_crumb(self, belief: Gaussian, z: Array, R: Array, slot: Ids) -> None:
-        z_hat, H_pose, H_point = self.sensor.expect(belief.pose, belief.landmarks()[slot])
-        PHt = kernel.columns(belief.P, belief.dim, slot, H_pose, H_point)
-        S = kernel.innovation_covariance(PHt, slot, H_pose, H_point, R)
-        nu = self._innovation(z, z_hat)[0]
-        if not kernel.consider(belief.P, belief.x, belief.dim, int(slot[0]), PHt, S, nu):
-            raise Diverged("the innovation covariance of a tentative landmark is not positive definite")
-
-    def _checked(self, belief: Gaussian) -> Gaussian:
-        if not kernel.healthy(belief.P, belief.x, belief.dim):
-            raise Diverged("a variance is negative or a state is not finite")
+        local.bring(belief, [int(i) for i in ids[0] if i >= 0])
+        self.core.update(belief.active, observations, ids[0])
         return belief
 
-    def add(self, belief: Gaussian, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Gaussian:
+    def add(self, belief: Atlas, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Atlas:
         """See `protocols.Estimator`."""
-        rows = np.flatnonzero(ids[0] >= 0)
-        if not len(rows):
-            return belief
-        _make_room(belief, len(rows))
-        points, G_pose, G_z = self.sensor.locate(belief.pose, observations.z[rows])
-        noise = G_z @ observations.R[rows] @ G_z.transpose(0, 2, 1)
-        dim = belief.dim
-        belief.x[dim : dim + 2 * len(rows)] = points.ravel()
-        kernel.append(belief.P, dim, G_pose, noise)
-        for row in rows:
-            belief.slot[int(ids[0][row])] = len(belief.ids)
-            belief.ids.append(int(ids[0][row]))
-            belief.stone.append(False)
+        self.core.add(belief.active, observations, ids[0])
         return belief
 
-    def promote(self, belief: Gaussian, ids: Ids) -> Gaussian:
+    def promote(self, belief: Atlas, ids: Ids) -> Atlas:
         """See `protocols.Estimator`."""
-        for i in ids:
-            belief.stone[belief.slot[int(i)]] = True
+        for i in ids.tolist():
+            for part in belief.parts:
+                if i in part.slot:
+                    part.stone[part.slot[i]] = True
         return belief
 
-    def forget(self, belief: Gaussian, ids: Ids) -> Gaussian:
+    def forget(self, belief: Atlas, ids: Ids) -> Atlas:
         """See `protocols.Estimator`."""
-        for i in ids:
-            slot = belief.slot.pop(int(i))
-            kernel.remove(belief.P, belief.x, belief.dim, slot)
-            last_id, last_stone = belief.ids.pop(), belief.stone.pop()
-            if slot < len(belief.ids):
-                belief.ids[slot], belief.stone[slot], belief.slot[last_id] = last_id, last_stone, slot
+        for i in ids.tolist():
+            local.forget(belief, i)
         return belief
 
-    def merge(self, belief: Gaussian, keep: int, drop: int) -> Gaussian:
+    def merge(self, belief: Atlas, keep: int, drop: int) -> Atlas:
         """See `protocols.Estimator`. Between two stones the constraint moves the pose; a crumb is just dropped."""
-        a, b = belief.slot[keep], belief.slot[drop]
-        if belief.stone[a] and belief.stone[b]:
-            self._constrain(belief, a, b)
-        elif belief.stone[b]:
-            raise ValueError(f"crumb {keep} cannot absorb stone {drop}: merge the other way round")
-        return self._checked(self.forget(belief, np.array([drop], np.int64)))
+        local.bring(belief, [keep, drop])
+        self.core.unite(belief.active, keep, drop)
+        local.forget(belief, drop)
+        return belief
 
-    def _constrain(self, belief: Gaussian, a: int, b: int) -> None:
-        """The linear observation l_a - l_b = 0, exact but for 1e-6 m of standard deviation."""
-        one, none = np.eye(2)[None], np.zeros((1, 2, 3))
-        W = kernel.columns(belief.P, belief.dim, np.array([a]), none, one)
-        W -= kernel.columns(belief.P, belief.dim, np.array([b]), none, one)
-        rows_a, rows_b = slice(3 + 2 * a, 5 + 2 * a), slice(3 + 2 * b, 5 + 2 * b)
-        S = _even(W[rows_a] - W[rows_b]) + 1e-12 * np.eye(2)
-        good, L = kernel.cholesky(S)
-        if not good:
-            raise Diverged("two landmarks that should be one are not comparable")
-        kernel.whiten(W, belief.dim, L)
-        belief.x += W @ kernel.forward(L, belief.x[rows_b] - belief.x[rows_a])
-        belief.P = dsyrk(-1.0, W, beta=1.0, c=belief.P, lower=1, overwrite_c=1)
-
-    def pose(self, belief: Gaussian) -> tuple[Array, Array]:
+    def pose(self, belief: Atlas) -> tuple[Array, Array]:
         """See `protocols.Estimator`."""
-        return belief.pose.copy(), _symmetric(belief.P[:3, :3])
+        active = belief.active
+        return active.pose.copy(), storage.pose_block(active.P)
 
-    def estimate(self, belief: Gaussian) -> Estimate:
+    def estimate(self, belief: Atlas) -> Estimate:
         """See `protocols.Estimator`."""
-        k = 3 + 2 * np.arange(len(belief.ids))
-        P = belief.P
-        covs = np.stack([np.stack([P[k, k], P[k + 1, k]], -1), np.stack([P[k + 1, k], P[k + 1, k + 1]], -1)], -2)
-        stone: Mask = np.array(belief.stone, bool)
-        ids = np.array(belief.ids, np.int64)
-        return Estimate(belief.pose.copy(), _symmetric(P[:3, :3]), ids, belief.landmarks().copy(), covs, stone)
+        local.leave(belief)
+        return gaussian.estimate(belief.whole)
 
-    def stats(self, belief: Gaussian) -> dict[str, Any]:
+    def calibration(self, belief: Atlas) -> dict[str, tuple[float, float]]:
+        """The estimated systematic errors by name: value and standard deviation."""
+        return self.core.calibration(belief.active)
+
+    def stats(self, belief: Atlas) -> dict[str, Any]:
         """See `protocols.Estimator`."""
-        return belief.stats
+        return belief.active.stats
 
 
-def _applied(H_pose: Array, H_point: Array, pose: Array, points: Array) -> Array:
-    moved: Array = H_pose @ pose + np.einsum("kij,kj->ki", H_point, points)
-    return moved
+InvariantEKF = partial(EKF, invariant=True)
+"""`EKF` with the right-invariant error; the settings are the same."""
 
 
-def _symmetric(lower: Array) -> Array:
-    """A full matrix from one whose lower triangle is right."""
-    low: Array = np.tril(lower)
-    return low + np.tril(lower, -1).T
+def _check(e: EKF) -> None:
+    from tomthumb.models.calibration import check
 
-
-def _even(S: Array) -> Array:
-    mean: Array = 0.5 * (S + S.T)
-    return mean
-
-
-def _make_room(belief: Gaussian, count: int) -> None:
-    """Buffers that hold `count` more landmarks; they grow by a twentieth at least, so copies stay rare."""
-    need = belief.dim + 2 * count
-    if need <= len(belief.x):
-        return
-    size = max(need, len(belief.x) + 2 * max(GROWTH, len(belief.x) // 40))
-    x, P = np.zeros(size), np.zeros((size, size), order="F")
-    x[: belief.dim], P[: belief.dim, : belief.dim] = belief.x[: belief.dim], belief.P[: belief.dim, : belief.dim]
-    belief.x, belief.P = x, P
+    if e.iterations < 1:
+        raise TomThumbError(f"iterations={e.iterations}: at least 1")
+    if not 0.0 < e.tolerance < np.inf:
+        raise TomThumbError(f"tolerance={e.tolerance}: more than 0, in standard deviations of the sensor's noise")
+    if not 0.0 <= e.outliers < 1.0:
+        raise TomThumbError(f"outliers={e.outliers}: a probability below 1 (0: keep all)")
+    if e.local < 0 or not e.margin > 0.0:
+        raise TomThumbError(f"local={e.local}, margin={e.margin}: a number of landmarks (0: never), and more than 0")
+    if len(e.calibrate) != len(e.calibrate_std):
+        raise TomThumbError(f"calibrate names {len(e.calibrate)} errors and calibrate_std {len(e.calibrate_std)}")
+    check(e.motion, e.calibrate, e.calibrate_std)

@@ -16,27 +16,50 @@ Array = Any
 
 
 @jit
-def at(P: Array, i: int, j: int) -> float:
+def at(P: Array, i: int, j: int) -> Any:
     """Element (i, j) of the symmetric matrix whose lower triangle is stored."""
     return P[i, j] if i >= j else P[j, i]
 
 
 @jit
-def move_pose(P: Array, dim: int, F: Array, Q: Array) -> None:
-    """P_rr = F P_rr F' + Q and P_lr = P_lr F', in place: linear in the number of landmarks."""
+def move_pose(P: Array, dim: int, F: Array, C: Array, Q: Array) -> None:
+    """P_rr = [F C] P_(r,c)(r,c) [F C]' + Q and P_.r = P_.r F' + P_.c C', c the first states behind the pose."""
+    c = C.shape[1]
+    D = np.empty((3, 3 + c))
+    D[:, :3], D[:, 3:] = F, C
+    old = np.empty((3 + c, 3 + c))
+    for i in range(3 + c):
+        for j in range(3 + c):
+            old[i, j] = at(P, i, j)
+    new = D @ old @ D.T
     for i in range(3, dim):
-        a, b, c = P[i, 0], P[i, 1], P[i, 2]
-        P[i, 0] = a * F[0, 0] + b * F[0, 1] + c * F[0, 2]
-        P[i, 1] = a * F[1, 0] + b * F[1, 1] + c * F[1, 2]
-        P[i, 2] = a * F[2, 0] + b * F[2, 1] + c * F[2, 2]
-    rr = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            rr[i, j] = at(P, i, j)
-    new = F @ rr @ F.T
+        p, q, r = P[i, 0], P[i, 1], P[i, 2]
+        for u in range(3):
+            value = p * F[u, 0] + q * F[u, 1] + r * F[u, 2]
+            for k in range(c):
+                value += at(P, i, 3 + k) * C[u, k]
+            P[i, u] = value
     for j in range(3):
         for i in range(j, 3):
             P[i, j] = 0.5 * (new[i, j] + new[j, i]) + Q[i, j]
+
+
+@jit
+def near(P: Array, x: Array, dim: int, hidden: int, eye: Array, reach: float) -> Array:
+    """Slots of landmarks nearer to `eye` than `reach` and five standard deviations of their distance to the robot."""
+    found = np.empty((dim - 3) // 2, np.int64)
+    count = 0
+    for slot in range(hidden, (dim - 3) // 2):
+        i = 3 + 2 * slot
+        dx, dy = x[i] - eye[0], x[i + 1] - eye[1]
+        over = math.sqrt(dx * dx + dy * dy) - reach
+        if over > 0.0:
+            apart = P[i, i] + P[i + 1, i + 1] + P[0, 0] + P[1, 1] - 2.0 * (P[i, 0] + P[i + 1, 1])
+            if over * over > 25.0 * max(apart, 0.0):
+                continue
+        found[count] = slot
+        count += 1
+    return found[:count].copy()
 
 
 @jit
@@ -64,6 +87,16 @@ def _local(P: Array, slot: int, M: Array) -> None:
 
 
 @jit
+def own_variances(P: Array, slots: Array, H_pose: Array, H_point: Array) -> Array:
+    """The diagonal (n, 2) of H P H', not below 0."""
+    blocks = own_blocks(P, slots, H_pose, H_point)
+    out = np.empty((slots.shape[0], 2))
+    for k in range(slots.shape[0]):
+        out[k, 0], out[k, 1] = max(blocks[k, 0, 0], 0.0), max(blocks[k, 1, 1], 0.0)
+    return out
+
+
+@jit
 def project(P: Array, slots: Array, H_pose: Array, H_point: Array) -> tuple[Array, Array]:
     """H P H' (2n, 2n) with all cross terms, and H P[:, pose] (2n, 3), of the landmarks in `slots`."""
     n = slots.shape[0]
@@ -82,7 +115,9 @@ def project(P: Array, slots: Array, H_pose: Array, H_point: Array) -> tuple[Arra
             base_b = 3 + 2 * slots[b]
             for u in range(2):
                 for v in range(2):  # covariance of prediction a with the point of landmark b
-                    value = H_point[a, u, 0] * at(P, base_a, base_b + v) + H_point[a, u, 1] * at(P, base_a + 1, base_b + v)
+                    value = H_point[a, u, 0] * at(P, base_a, base_b + v) + H_point[a, u, 1] * at(
+                        P, base_a + 1, base_b + v
+                    )
                     for k in range(3):
                         value += H_pose[a, u, k] * P[base_b + v, k]
                     back[u, v] = value
@@ -98,9 +133,9 @@ def project(P: Array, slots: Array, H_pose: Array, H_point: Array) -> tuple[Arra
 
 @jit
 def columns(P: Array, dim: int, slots: Array, H_pose: Array, H_point: Array) -> Array:
-    """P H' (cap, 2k), column-major; rows beyond `dim` are zero so that the whole buffer can go to BLAS."""
-    k, cap = slots.shape[0], P.shape[0]
-    out = np.zeros((2 * k, cap)).T
+    """P H' (dim, 2k), column-major."""
+    k = slots.shape[0]
+    out = np.empty((2 * k, dim)).T
     for i in range(k):
         base = 3 + 2 * slots[i]
         for u in range(2):
@@ -183,15 +218,15 @@ def whiten(PHt: Array, dim: int, L: Array) -> None:
 
 
 @jit
-def linear_residual(nu: Array, H_pose: Array, H_point: Array, shift_pose: Array, shift_points: Array) -> Array:
-    """nu - H (x0 - x_i), the innovation of the iterated update (2k,)."""
+def linear_residual(nu: Array, H_pose: Array, H_point: Array, moved_pose: Array, moved_points: Array) -> Array:
+    """nu + H (x_i - x0), the innovation of the iterated update (2k,)."""
     k = nu.shape[0]
     out = np.empty(2 * k)
     for i in range(k):
         for u in range(2):
-            value = nu[i, u] - H_point[i, u, 0] * shift_points[i, 0] - H_point[i, u, 1] * shift_points[i, 1]
+            value = nu[i, u] + H_point[i, u, 0] * moved_points[i, 0] + H_point[i, u, 1] * moved_points[i, 1]
             for r in range(3):
-                value -= H_pose[i, u, r] * shift_pose[r]
+                value += H_pose[i, u, r] * moved_pose[r]
             out[2 * i + u] = value
     return out
 
@@ -223,9 +258,12 @@ def local_cross(P: Array, dim: int, slots: Array, H_pose: Array, H_point: Array)
 
 
 @jit
-def gain_step(local: Array, slots: Array, H_pose: Array, H_point: Array, R: Array, residual: Array) -> tuple[bool, Array, float]:
+def gain_step(
+    P: Array, dim: int, slots: Array, H_pose: Array, H_point: Array, R: Array, residual: Array
+) -> tuple[bool, Array, float]:
     """One Gauss-Newton step in the space of the pose and the observed landmarks: change (3 + 2k,), and NIS."""
     k = slots.shape[0]
+    local = local_cross(P, dim, slots, H_pose, H_point)
     S = innovation_covariance(local, np.arange(k), H_pose, H_point, R)
     good, L = cholesky(S)
     if not good:
@@ -242,71 +280,85 @@ def gain_step(local: Array, slots: Array, H_pose: Array, H_point: Array, R: Arra
 
 
 @jit
-def consider(P: Array, x: Array, dim: int, slot: int, PHt: Array, S: Array, nu: Array) -> bool:
-    """Schmidt's update of one crumb: its own rows learn, the pose and the stones are only considered.
+def consider(
+    P: Array, x: Array, dim: int, slots: Array, H_pose: Array, H_point: Array, R: Array, nu: Array, turn: bool, T: Array
+) -> bool:
+    """Schmidt's updates of crumbs, one by one: their own rows learn, the pose and the stones are only considered.
 
     P_co -= K (H P)_o, P_cc -= K S K', with K = P_c H' S^-1: the Joseph form of a gain that is zero elsewhere.
     """
-    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    if not det > 0.0:
-        return False
-    base = 3 + 2 * slot
     K = np.empty((2, 2))
-    for a in range(2):
-        p, q = PHt[base + a, 0], PHt[base + a, 1]
-        K[a, 0] = (p * S[1, 1] - q * S[1, 0]) / det
-        K[a, 1] = (q * S[0, 0] - p * S[0, 1]) / det
-    KS = K @ S @ K.T
-    for a in range(2):
-        x[base + a] += K[a, 0] * nu[0] + K[a, 1] * nu[1]
-        for r in range(base):
-            P[base + a, r] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
-        for r in range(base + 2, dim):
-            P[r, base + a] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
-    P[base, base] -= KS[0, 0]
-    P[base + 1, base] -= 0.5 * (KS[1, 0] + KS[0, 1])
-    P[base + 1, base + 1] -= KS[1, 1]
-    return True
-
-
-@jit
-def append(P: Array, dim: int, G_pose: Array, noise: Array) -> None:
-    """New landmarks behind row `dim`: covariance G P_r. with everything before, and G P_rr G' + noise of their own."""
-    for i in range(G_pose.shape[0]):
-        base = dim + 2 * i
-        for u in range(2):
-            for r in range(base):
-                P[base + u, r] = G_pose[i, u, 0] * at(P, r, 0) + G_pose[i, u, 1] * at(P, r, 1) + G_pose[i, u, 2] * at(P, r, 2)
-        own = np.empty((2, 2))
-        for u in range(2):
-            for v in range(2):
-                value = 0.5 * (noise[i, u, v] + noise[i, v, u])
-                for k in range(3):
-                    value += P[base + u, k] * G_pose[i, v, k]
-                own[u, v] = value
-        P[base, base], P[base + 1, base + 1] = own[0, 0], own[1, 1]
-        P[base + 1, base] = 0.5 * (own[0, 1] + own[1, 0])
-
-
-@jit
-def remove(P: Array, x: Array, dim: int, slot: int) -> None:
-    """Slot `slot` is given the last landmark's rows; the caller shortens `dim` by 2."""
-    last, base = dim - 2, 3 + 2 * slot
-    if last != base:
-        for u in range(2):
-            x[base + u] = x[last + u]
-            for r in range(base):
-                P[base + u, r] = P[last + u, r]
-            for r in range(base + 2, last):
-                P[r, base + u] = P[last + u, r]
-        P[base, base], P[base + 1, base], P[base + 1, base + 1] = P[last, last], P[last + 1, last], P[last + 1, last + 1]
-    P[last : last + 2, : last + 2] = 0.0
-
-
-@jit
-def healthy(P: Array, x: Array, dim: int) -> bool:
-    """Every state finite and every variance positive or zero."""
-    for i in range(dim):
-        if not (P[i, i] >= 0.0 and P[i, i] < 1e12 and abs(x[i]) < 1e12):
+    for i in range(slots.shape[0]):
+        PHt = columns(P, dim, slots[i : i + 1], H_pose[i : i + 1], H_point[i : i + 1])
+        S = innovation_covariance(PHt, slots[i : i + 1], H_pose[i : i + 1], H_point[i : i + 1], R[i : i + 1])
+        det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+        if not (det > 0.0 and S[0, 0] > 0.0):
             return False
+        base = 3 + 2 * slots[i]
+        for a in range(2):
+            p, q = PHt[base + a, 0], PHt[base + a, 1]
+            K[a, 0] = (p * S[1, 1] - q * S[1, 0]) / det
+            K[a, 1] = (q * S[0, 0] - p * S[0, 1]) / det
+        if T.shape[0] > 0:
+            T[base : base + 2] -= K @ project_rows(T, slots[i : i + 1], H_pose[i : i + 1], H_point[i : i + 1])
+        KS = K @ S @ K.T
+        v0, v1 = K[0, 0] * nu[i, 0] + K[0, 1] * nu[i, 1], K[1, 0] * nu[i, 0] + K[1, 1] * nu[i, 1]
+        x[base] += v0
+        x[base + 1] += v1
+        for a in range(2):
+            for r in range(base):
+                P[base + a, r] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
+            for r in range(base + 2, dim):
+                P[r, base + a] -= K[a, 0] * PHt[r, 0] + K[a, 1] * PHt[r, 1]
+        P[base, base] -= KS[0, 0]
+        P[base + 1, base] -= 0.5 * (KS[1, 0] + KS[0, 1])
+        P[base + 1, base + 1] -= KS[1, 1]
+        if turn:
+            turn_landmark(P, dim, base, -v1, v0)
+            for w in range(T.shape[1]):
+                T[base, w] -= v1 * T[2, w]
+                T[base + 1, w] += v0 * T[2, w]
     return True
+
+
+@jit
+def turn_landmark(P: Array, dim: int, base: int, v0: float, v1: float) -> None:
+    """P <- (I + v e') P (I + v e')' with v zero but in the two rows from `base`, e the heading's unit vector."""
+    h0, h1, var = P[base, 2], P[base + 1, 2], P[2, 2]
+    P[base, base] += 2.0 * v0 * h0 + v0 * v0 * var
+    P[base + 1, base] += v0 * h1 + v1 * h0 + v0 * v1 * var
+    P[base + 1, base + 1] += 2.0 * v1 * h1 + v1 * v1 * var
+    for r in range(base):
+        weight = at(P, r, 2)
+        P[base, r] += v0 * weight
+        P[base + 1, r] += v1 * weight
+    for r in range(base + 2, dim):
+        P[r, base] += v0 * P[r, 2]
+        P[r, base + 1] += v1 * P[r, 2]
+
+
+@jit
+def project_rows(T: Array, slots: Array, H_pose: Array, H_point: Array) -> Array:
+    """H T (2k, w) for rows ordered as the state is."""
+    k, w = slots.shape[0], T.shape[1]
+    out = np.empty((2 * k, w))
+    for i in range(k):
+        base = 3 + 2 * slots[i]
+        for u in range(2):
+            a, b, c = H_pose[i, u, 0], H_pose[i, u, 1], H_pose[i, u, 2]
+            d, e = H_point[i, u, 0], H_point[i, u, 1]
+            for j in range(w):
+                out[2 * i + u, j] = a * T[0, j] + b * T[1, j] + c * T[2, j] + d * T[base, j] + e * T[base + 1, j]
+    return out
+
+
+@jit
+def forward_rows(L: Array, B: Array) -> None:
+    """B <- L^-1 B in place."""
+    for i in range(L.shape[0]):
+        for k in range(i):
+            factor = L[i, k]
+            for j in range(B.shape[1]):
+                B[i, j] -= factor * B[k, j]
+        for j in range(B.shape[1]):
+            B[i, j] /= L[i, i]

@@ -19,7 +19,8 @@ class RangeBearing:
 
     Sees landmarks between `min_range` and `max_range` m, within `fov` rad (the full opening angle) about its axis.
     `mount` is the sensor's pose on the robot (m, m, rad). `std` of range m and bearing rad; `clutter` false observations
-    per m2 and scan; `detect` the probability of detection inside the field of view.
+    per m2 and scan; `detect` the probability of detection inside the field of view. `memory` m: the path over which the
+    errors of range and of bearing repeat themselves (0: every scan errs anew); a real sensor at rest repeats its errors.
     """
 
     max_range: float = math.inf
@@ -29,6 +30,7 @@ class RangeBearing:
     std: tuple[float, float] = (0.1, 0.02)
     detect: float = 0.95
     clutter: float = 0.01
+    memory: tuple[float, float] = (0.0, 0.0)
     angles: tuple[int, ...] = (1,)
 
     def frame(self, pose: Array) -> Array:
@@ -71,6 +73,7 @@ class Cartesian:
     std: tuple[float, float] = (0.05, 0.05)
     detect: float = 0.95
     clutter: float = 0.01
+    memory: tuple[float, float] = (0.0, 0.0)
     angles: tuple[int, ...] = ()
 
     def frame(self, pose: Array) -> Array:

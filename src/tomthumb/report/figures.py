@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -120,12 +120,21 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _draw_truth(axes: Axes, run: SavedRun) -> None:
-    truth, pose = run.truth, run.truth.pose
-    dense = len(pose) > RASTER_FROM
-    if np.isfinite(pose[:, 0]).any():
-        axes.plot(pose[:, 0], pose[:, 1], color=TRUE, lw=1.0, label="true path", rasterized=dense)
+    truth = run.truth
+    path = _known_path(run.trace.t, truth.pose[:, :2])
+    if len(path):
+        axes.plot(*path.T, color=TRUE, lw=1.0, label="true path", rasterized=len(path) > RASTER_FROM)
     if truth.landmarks is not None and len(truth.landmarks):
         axes.plot(*truth.landmarks.T, ".", color=TRUE, ms=5, label="true landmarks", zorder=3)
+
+
+def _known_path(t: Array, points: Array) -> Array:
+    """Points (k, 2) where they are known; truth is often sparser than the steps, so only longer gaps break the line."""
+    known = np.flatnonzero(np.isfinite(points).all(1))
+    gaps = np.diff(t[known])
+    if not len(gaps):
+        return points[known]
+    return np.insert(points[known], np.flatnonzero(gaps > 10.0 * np.median(gaps)) + 1, np.nan, axis=0)
 
 
 def _draw_map(axes: Axes, run: SavedRun) -> None:
@@ -191,7 +200,7 @@ def _draw_error(axes: Axes, run: SavedRun, row: int, name: str) -> None:
         inside = float(np.mean(np.abs(error[known]) <= bound[known]))
         axes.set_title(f"error in {name}: {100 * inside:.0f} % of the steps inside the 99 % bounds", fontsize=9)
     axes.set_ylabel(f"{name} [{unit}]")
-    _finish_time(axes, t)
+    _finish_time(axes, run)
     if row == 0:
         axes.legend(loc="upper left", fontsize=8, ncols=2)
 
@@ -211,14 +220,14 @@ def _draw_mistakes(axes: Axes, run: SavedRun) -> None:
         base += wrong
     axes.set_ylabel("per scan")
     axes.set_title("observations and mistakes", fontsize=9)
-    axes.legend(loc="upper right", fontsize=8, ncols=3)
-    _finish_time(axes, run.trace.t)
+    _finish_time(axes, run)
+    axes.legend(loc="upper right", fontsize=8, ncols=4)
 
 
 def _draw_nees(axes: Axes, run: SavedRun) -> None:
     values = nees(run.trace.pose, run.trace.pose_cov, run.truth.pose)
     low, high = chi2_band(3)
-    _draw_band(axes, run.trace.t, values, low, high, 3.0)
+    _draw_band(axes, run, values, low, high, 3.0)
     axes.set(ylabel="NEES")
     mean = f", average {np.nanmean(values):.2f} (3 is right)" if np.isfinite(values).any() else ": no truth"
     axes.set_title(f"NEES of the pose{mean}", fontsize=9)
@@ -229,14 +238,15 @@ def _draw_nis(axes: Axes, run: SavedRun) -> None:
     values = np.where(dof > 0, run.trace.nis / np.maximum(dof, 1), np.nan)
     typical = float(np.median(dof[dof > 0])) if (dof > 0).any() else 2.0
     low, high = chi2_band(typical)
-    _draw_band(axes, run.trace.t, values, low / typical, high / typical, 1.0)
+    _draw_band(axes, run, values, low / typical, high / typical, 1.0)
     axes.set(ylabel="NIS / dof")
     total = dof.sum()
     mean = f", average {run.trace.nis[dof > 0].sum() / total:.2f} (1 is right)" if total else ": no pairings"
     axes.set_title(f"NIS per degree of freedom{mean}", fontsize=9)
 
 
-def _draw_band(axes: Axes, t: Array, values: Array, low: float, high: float, right: float) -> None:
+def _draw_band(axes: Axes, run: SavedRun, values: Array, low: float, high: float, right: float) -> None:
+    t = run.trace.t
     axes.axhspan(low, high, color=BOUND, alpha=0.45, lw=0, label="95 % of each")
     axes.axhline(right, color=TRUE, lw=0.8)
     known = np.isfinite(values)
@@ -244,10 +254,13 @@ def _draw_band(axes: Axes, t: Array, values: Array, low: float, high: float, rig
     if known.any() and values[known].max() > 20.0 * high:
         axes.set_yscale("log")
     axes.legend(loc="upper right", fontsize=8)
-    _finish_time(axes, t)
+    _finish_time(axes, run)
 
 
-def _finish_time(axes: Axes, t: Any) -> None:
+def _finish_time(axes: Axes, run: SavedRun) -> None:
+    t, taught = run.trace.t, min(run.truth.score_from, len(run.trace.t) - 1)
+    if taught > 1:
+        axes.axvspan(t[0], t[taught], color="#f1ead8", lw=0, zorder=0, label="not scored")
     axes.grid(color="#e6e6e6", lw=0.5)
     axes.set_axisbelow(True)
     if len(t) > 1:

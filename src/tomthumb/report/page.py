@@ -72,7 +72,8 @@ def comparison_table(columns: Sequence[Column], rows: Sequence[Mapping[str, Any]
 def pictures_html(pictures: Sequence[Picture]) -> str:
     """Figures as they stand in the page, each as small as it can be."""
     return "".join(
-        f'<figure><h2>{html.escape(p.title)}</h2><img alt="{html.escape(p.title)}" src="{data_uri(p.figure)}">'
+        f"<figure><h2>{html.escape(p.title)}</h2>"
+        f'<img alt="{html.escape(p.title)}" width="{_width(p.figure)}" src="{data_uri(p.figure)}">'
         f"<figcaption>{html.escape(p.caption)}</figcaption></figure>"
         for p in pictures
     )
@@ -83,6 +84,11 @@ def data_uri(figure: Figure) -> str:
     vector, raster = render(figure, "svg"), render(figure, "png")
     kind, content = ("svg+xml", vector) if len(vector) <= 2 * len(raster) else ("png", raster)
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _width(figure: Figure) -> int:
+    """Pixels that show the figure's letters at about the size of the page's."""
+    return round(110 * float(figure.get_figwidth()))
 
 
 def versions() -> str:
@@ -114,14 +120,15 @@ def _failure(row: Mapping[str, Any]) -> str:
 
 _STYLE = """
 :root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c2733; background: #fff; max-width: 1150px; margin: 2rem auto;
+body { font: 15px/1.5 system-ui, sans-serif; color: #1c2733; background: #fff; max-width: 1250px; margin: 2rem auto;
   padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin: 1.6rem 0 .4rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .28rem .6rem; text-align: right; border-bottom: 1px solid #e3e8ee; white-space: nowrap; }
+th, td { padding: .28rem .5rem; text-align: right; border-bottom: 1px solid #e3e8ee; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 thead th { background: #f3f6fa; }
-.metrics th { font-weight: 600; } .metrics td:last-child { text-align: left; color: #5b6b7b; white-space: normal; }
+.metrics th { font-weight: 600; width: 9rem; } .metrics td:nth-child(2) { width: 6rem; }
+.metrics td:last-child { text-align: left; color: #5b6b7b; white-space: normal; }
 .metrics { width: 100%; } .wide { overflow-x: auto; }
 figure { margin: 1.5rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid #e3e8ee; }
 figcaption, footer, details { color: #5b6b7b; font-size: .9rem; }

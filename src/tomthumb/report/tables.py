@@ -40,6 +40,8 @@ OVERVIEW = (
     Column("associate_us_p50", "assoc. µs", ".0f", 1, "median time of one scan's association"),
 )
 
+NARROW = ("match_rate", "wrong_ids", "fn", "duplicates", "rmse_x_m", "rmse_y_m", "nees", "associate_us_p50")
+
 GROUPS: dict[str, tuple[Column, ...]] = {
     "Associations": (
         *OVERVIEW[:6],

@@ -55,7 +55,7 @@ class PairMemory:
     def __init__(self, n: int, plasticity: Plasticity | None = None) -> None:
         self.plasticity = plasticity or Plasticity()
         self.w = np.zeros((n, n))
-        self._x, self._y = np.zeros(n), np.zeros(n)
+        self.x, self.y = np.zeros(n), np.zeros(n)
         self._t = 0.0
 
     def spike(self, neurons: Sequence[int] | Ids, t: float) -> None:
@@ -70,10 +70,14 @@ class PairMemory:
         if seen.size and not (seen.min() >= 0 and seen.max() < len(self.w)):
             raise TomThumbError(f"neurons are 0 to {len(self.w) - 1}, not {seen.tolist()}")
         p, dt = self.plasticity, t - self._t
-        self._x *= math.exp(-dt / p.tau_plus)
-        self._y *= math.exp(-dt / p.tau_minus)
+        self.x *= math.exp(-dt / p.tau_plus)
+        self.y *= math.exp(-dt / p.tau_minus)
         self._t = t
-        pair_spikes(self.w, self._x, self._y, seen, p.a_plus, p.a_minus, p.mu)
+        pair_spikes(self.w, self.x, self.y, seen, p.a_plus, p.a_minus, p.mu)
+
+    def rest(self) -> None:
+        """A pause long enough for the traces `x` (as pre) and `y` (as post) to die away; the weights stay."""
+        self.x[:] = self.y[:] = 0.0
 
     def decay(self, factor: float) -> None:
         """Crumbs: every weight fades by `factor` in [0, 1]; with stones nobody calls this."""

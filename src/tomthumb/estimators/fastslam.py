@@ -1,0 +1,379 @@
+"""FastSLAM 2.0: particles for the pose, and for each a map of independent small Gaussians and its own association.
+
+Between scans a particle's pose is a Gaussian (mean, covariance) that the odometry moves; the scan sharpens it, a pose
+is drawn from it, the particle is weighed by the likelihood of the scan before the drawing, and the landmarks are
+updated at the drawn pose. With `version` 1 the pose is drawn from the odometry alone. Pairings with crumbs update the
+crumb and count as unexplained, so they neither move nor weigh the particle. Stones in view that were not seen count
+against it.
+
+Particles are resampled before the next motion, so that ids given for each particle fit from `expect` to `add`; the
+heaviest is always the first.
+
+References: M. Montemerlo, S. Thrun, D. Koller, B. Wegbreit, "FastSLAM 2.0", IJCAI 2003, eq. 8 to 20; M. Montemerlo,
+"FastSLAM", PhD thesis, CMU 2003, sec. 3.5 (negative evidence) and 3.7 (shared maps).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from tomthumb import geometry
+from tomthumb.errors import Diverged, TomThumbError
+from tomthumb.estimators import pages
+from tomthumb.estimators.pages import Pages
+from tomthumb.kernels import fastslam as kernel
+from tomthumb.protocols import Motion, Rng, Sensor
+from tomthumb.types import Array, Control, Estimate, Ids, Mask, Observations, Predictions
+
+UNSEEN = 1e-4
+ORIGIN = np.zeros(3)
+
+
+@dataclass(slots=True)
+class Particles:
+    """Poses (M, 3), their covariances before the scan (M, 3, 3), log weights (M,), and the maps."""
+
+    pose: Array
+    cov: Array
+    log_weight: Array
+    maps: Pages
+    view: View | None = None
+    stats: dict[str, Any] = field(default_factory=lambda: {"nis": 0.0, "dof": 0, "iterations": 0})
+
+    def weights(self) -> Array:
+        """Normalised weights (M,)."""
+        w = np.exp(self.log_weight - self.log_weight.max())
+        normal: Array = w / w.sum()
+        return normal
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What all particles expect of the landmarks `slots` (c,): arrays (M, c, ...), everything in the robot's frame."""
+
+    slots: Ids
+    points: Array
+    spread: Array
+    there: Mask
+    z_hat: Array
+    H: Array
+    C: Array
+    Hx: Array
+    chance: Array
+
+
+@dataclass(frozen=True)
+class FastSLAM:
+    """`particles` many; `version` 2 or 1; resampled when the effective number falls below `resample` of them.
+
+    `iterations` of the proposal's linearisation. `density`: observations per m2 and scan that no stone explains;
+    `negative`: stones in view that are not seen count. Raises `TomThumbError` for settings that cannot be.
+    """
+
+    motion: Motion
+    sensor: Sensor
+    particles: int = 100
+    version: int = 2
+    resample: float = 0.5
+    iterations: int = 2
+    density: float = 0.3
+    negative: bool = True
+
+    def __post_init__(self) -> None:
+        if self.particles < 1 or self.iterations < 1 or self.version not in (1, 2):
+            raise TomThumbError(
+                f"particles={self.particles}, iterations={self.iterations}, version={self.version}: "
+                "at least 1, at least 1, and 1 or 2"
+            )
+        if not (0.0 <= self.resample <= 1.0 and self.density > 0.0):
+            raise TomThumbError(f"resample={self.resample}, density={self.density}: 0 to 1, and more than 0 per m2")
+
+    def init(self, pose: Array, cov: Array, rng: Rng) -> Particles:
+        """See `protocols.Estimator`."""
+        M = self.particles
+        belief = Particles(
+            np.tile(np.asarray(pose, float), (M, 1)), np.tile(np.asarray(cov, float), (M, 1, 1)), np.zeros(M),
+            pages.empty(M),
+        )  # fmt: skip
+        if self.version == 1:
+            self._draw(belief, np.zeros((M, 3)), _in_body(belief), rng)
+        return belief
+
+    def fork(self, belief: Particles) -> Particles:
+        """See `protocols.Estimator`."""
+        b = belief
+        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), pages.copy(b.maps), b.view, dict(b.stats))
+
+    def predict(self, belief: Particles, control: Control, rng: Rng) -> Particles:
+        """See `protocols.Estimator`. Resamples first, where the last scan made it necessary."""
+        self._resample(belief, rng)
+        delta, cov = self.motion.increment(control)
+        kernel.move(belief.pose, belief.cov, np.asarray(delta, float), np.asarray(cov, float))
+        if self.version == 1:
+            self._draw(belief, np.zeros_like(belief.pose), _in_body(belief), rng)
+        belief.view = None
+        return belief
+
+    def _draw(self, b: Particles, shift: Array, cov: Array, rng: Rng) -> None:
+        """Poses drawn; from now on they are certain until the next motion."""
+        kernel.sample(b.pose, shift, cov, rng.standard_normal((len(b.pose), 3)))
+        b.cov[:] = 0.0
+
+    def _resample(self, b: Particles, rng: Rng) -> None:
+        w = b.weights()
+        order = np.arange(len(w))
+        if 1.0 / np.square(w).sum() < self.resample * len(w):
+            order = kernel.systematic(w, rng.random())
+            b.log_weight = np.zeros(len(w))
+        else:
+            b.log_weight -= b.log_weight.max()
+        order = _first(order, int(w.argmax()))
+        if not np.array_equal(order, np.arange(len(w))):
+            b.pose, b.cov, b.log_weight = b.pose[order], b.cov[order], b.log_weight[order]
+            b.maps.table = kernel.inherit(order, b.maps.table, b.maps.uses, b.maps.free)
+
+    # --- expectation --------------------------------------------------------------------------------------------------
+
+    def _look(self, b: Particles) -> View:
+        """The landmarks near enough for any particle, seen from all of them by one call of the sensor."""
+        if b.view is not None:
+            return b.view
+        m = b.maps
+        reach = self.sensor.max_range + float(np.hypot(*self.sensor.frame(ORIGIN)[:2]))
+        spread = 5.0 * float(np.sqrt(np.trace(b.cov[:, :2, :2], axis1=1, axis2=2).max()))
+        slots = kernel.near(b.pose, m.box, m.live, min(reach + spread, 1e9))
+        points, cov, there = kernel.to_body(b.pose, slots, m.table, m.mean, m.cov, m.has)
+        z_hat, H = _expect(self.sensor, points)
+        C, Hx = kernel.own_covariances(b.pose, b.cov, points, cov, H)
+        var = C.reshape(-1, 2, 2)[:, [0, 1], [0, 1]]
+        chance = self.sensor.in_view(z_hat.reshape(-1, 2), var).reshape(there.shape) * there
+        b.view = View(slots, points, cov, there, z_hat, H, C, Hx, chance)
+        return b.view
+
+    def expect(self, belief: Particles) -> Sequence[Predictions]:
+        """See `protocols.Estimator`: one for each particle."""
+        v = self._look(belief)
+        cov = _in_body(belief)
+        ids, stone = belief.maps.ids[v.slots], belief.maps.stone[v.slots]
+        return [self._predictions(v, p, cov[p], ids, stone, belief) for p in range(len(belief.pose))]
+
+    def _predictions(self, v: View, p: int, cov: Array, ids: Ids, stone: Mask, b: Particles) -> Predictions:
+        keep = np.flatnonzero(v.chance[p] > UNSEEN)
+        n = len(keep)
+        Hx = v.Hx[p, keep].reshape(2 * n, 3)
+        C = Hx @ cov @ Hx.T
+        blocks = C.reshape(n, 2, n, 2)
+        blocks[np.arange(n), :, np.arange(n), :] = v.C[p, keep]
+        turn = np.eye(3)
+        turn[:2, :2] = geometry.rotation(b.pose[p, 2])
+        frame = geometry.to_frame(self.sensor.frame(ORIGIN), v.points[p, keep])
+        visible = v.chance[p, keep] * self.sensor.detect
+        return Predictions(
+            ids[keep], v.z_hat[p, keep], C, b.cov[p], Hx @ cov @ turn.T, frame, None, visible, stone[keep]
+        )  # fmt: skip
+
+    def name(self, belief: Particles, observations: Observations, gate: float = 0.999) -> Ids:
+        """Ids (M, m) of the observations by maximum likelihood in each particle, -1 for none: the quick path.
+
+        The same as an associator would say that takes, for each observation, the likeliest landmark within the gate.
+        """
+        v = self._look(belief)
+        z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
+        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - gate)))
+        named: Ids = np.where(match >= 0, belief.maps.ids[v.slots][match], -1) if len(v.slots) else match
+        return named
+
+    # --- update -------------------------------------------------------------------------------------------------------
+
+    def update(self, belief: Particles, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Particles:
+        """See `protocols.Estimator`. Raises `Diverged`."""
+        b, m = belief, belief.maps
+        z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
+        slots = np.array([[m.slot.get(i, -1) for i in row] for row in np.asarray(ids).tolist()], np.int64)
+        slots = slots.reshape(len(b.pose), len(z))
+        firm = (slots >= 0) & m.stone[slots] if len(m.stone) else slots >= 0
+        if self.negative:
+            b.log_weight += self._missed(self._look(b), slots, firm, m)
+        shift, cov = self._propose(b, z, R, slots, firm)
+        b.log_weight += ((~firm) @ np.log(self.density * self.sensor.scale(z))) if len(z) else 0.0
+        self._draw(b, shift, cov, rng)
+        b.view = None
+        self._absorb(b, z, R, slots)
+        if not (np.isfinite(b.log_weight).any() and np.isfinite(b.pose).all()):
+            raise Diverged("no particle explains the observations")
+        return b
+
+    def _missed(self, v: View, slots: Ids, firm: Mask, m: Pages) -> Array:
+        """Log-probability (M,) of which stones in view were seen and which not."""
+        seen = ((v.slots[None, :, None] == slots[:, None, :]) & firm[:, None, :]).any(2)
+        chance = np.clip(v.chance * min(self.sensor.detect, 0.999), 1e-6, 0.999)
+        score = np.where(seen, np.log(chance), np.log1p(-chance)) * (v.there & m.stone[v.slots])
+        total: Array = score.sum(1)
+        return total
+
+    def _propose(self, b: Particles, z: Array, R: Array, slots: Ids, firm: Mask) -> tuple[Array, Array]:
+        """Each pose's Gaussian after the scan, in its own frame; weights and statistics are brought up to date."""
+        shift = np.zeros((len(b.pose), 3))
+        cov = _in_body(b)
+        if not firm.any():
+            b.stats = {"nis": 0.0, "dof": 0, "iterations": 0}
+            return shift, cov
+        points, spread = _of_each(b.pose, slots, b.maps)
+        for _ in range(self.iterations if b.cov.any() else 1):
+            moved, turned = _after(shift, points, spread)
+            z_hat, H = _expect(self.sensor, moved)
+            Hx = _by_motion(H, moved, shift)
+            noise = H @ turned @ H.transpose(0, 1, 3, 2)
+            total, nis, shift, cov = kernel.propose_all(
+                z, R, firm, z_hat, Hx, noise, shift, b.pose, b.cov, self._wrapped()
+            )  # fmt: skip
+        b.log_weight += total
+        b.stats = {"nis": float(nis[0]), "dof": 2 * int(firm[0].sum()), "iterations": self.iterations}
+        return shift, cov
+
+    def _absorb(self, b: Particles, z: Array, R: Array, slots: Ids) -> None:
+        if not (slots >= 0).any():
+            return
+        points, spread = _of_each(b.pose, slots, b.maps)
+        z_hat, H = _expect(self.sensor, points)
+        pages.reserve(b.maps, pages.columns_of(slots))
+        kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, self._wrapped(), *pages.arrays(b.maps))
+        kernel.boxes(np.unique(slots[slots >= 0]), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
+
+    def _wrapped(self) -> Any:
+        return np.array([k in self.sensor.angles for k in range(2)])
+
+    # --- landmarks ----------------------------------------------------------------------------------------------------
+
+    def add(self, belief: Particles, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Particles:
+        """See `protocols.Estimator`. A landmark may be new in some particles and known under another id in others."""
+        b, m = belief, belief.maps
+        named = np.asarray(ids, np.int64).reshape(len(b.pose), len(observations))
+        rows = np.flatnonzero((named >= 0).any(0))
+        if not len(rows):
+            return b
+        if b.cov.any():
+            self._draw(b, np.zeros_like(b.pose), _in_body(b), rng)
+        points, _, G = self.sensor.locate(ORIGIN, observations.z[rows])
+        noise = G @ observations.R[rows] @ G.transpose(0, 2, 1)
+        serials = named[:, rows].max(0).tolist()
+        slots = np.array(pages.open_slots(m, serials), np.int64)
+        every = np.where(named[:, rows] >= 0, slots[None], -1)
+        pages.reserve(m, pages.columns_of(every))
+        kernel.found(b.pose, every, points, noise, *pages.arrays(m))
+        kernel.boxes(slots, m.table, m.mean, m.has, m.box)
+        b.view = None
+        return b
+
+    def promote(self, belief: Particles, ids: Ids) -> Particles:
+        """See `protocols.Estimator`."""
+        belief.maps.stone[[belief.maps.slot[i] for i in ids.tolist()]] = True
+        return belief
+
+    def forget(self, belief: Particles, ids: Ids) -> Particles:
+        """See `protocols.Estimator`."""
+        for i in ids.tolist():
+            pages.forget(belief.maps, i)
+        belief.view = None
+        return belief
+
+    def merge(self, belief: Particles, keep: int, drop: int) -> Particles:
+        """See `protocols.Estimator`. Two stones that are one also weigh the particles."""
+        b, m = belief, belief.maps
+        k, d = m.slot[keep], m.slot[drop]
+        if m.stone[d] and not m.stone[k]:
+            raise ValueError(f"crumb {keep} cannot absorb stone {drop}: merge the other way round")
+        if m.stone[d]:
+            pages.reserve(m, 1)
+            b.log_weight += kernel.unite(k, d, *pages.arrays(m))
+            kernel.boxes(np.array([k]), m.table, m.mean, m.has, m.box)
+        return self.forget(b, np.array([drop]))
+
+    def pose(self, belief: Particles) -> tuple[Array, Array]:
+        """See `protocols.Estimator`: mean and covariance of the mixture; headings are averaged on the circle."""
+        w, x = belief.weights(), belief.pose
+        heading = float(np.arctan2(w @ np.sin(x[:, 2]), w @ np.cos(x[:, 2])))
+        mean = np.array([*(w @ x[:, :2]), heading])
+        away = x - mean
+        away[:, 2] = geometry.wrap(away[:, 2])
+        cov: Array = np.einsum("p,pi,pj->ij", w, away, away) + np.tensordot(w, belief.cov, 1)
+        return mean, cov
+
+    def estimate(self, belief: Particles) -> Estimate:
+        """See `protocols.Estimator`: the heaviest particle's landmarks, averaged over all particles that hold them."""
+        m, w = belief.maps, belief.weights()
+        best = int(w.argmax())
+        slots = np.flatnonzero(m.live)
+        page = m.table[:, slots // pages.SIZE]
+        there = (page >= 0) & m.has[page, slots % pages.SIZE]
+        slots, page, there = slots[there[best]], page[:, there[best]], there[:, there[best]]
+        weight = there * w[:, None]
+        weight /= weight.sum(0)
+        mean, cov = m.mean[page, slots % pages.SIZE], m.cov[page, slots % pages.SIZE]
+        centre = np.einsum("pn,pni->ni", weight, np.where(there[..., None], mean, 0.0))
+        away = np.where(there[..., None], mean - centre, 0.0)
+        own = np.einsum("pn,pni->ni", weight, np.where(there[..., None], cov, 0.0))
+        covs = np.einsum("pn,pni,pnj->nij", weight, away, away) + own[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        return Estimate(*self.pose(belief), m.ids[slots], centre, covs, m.stone[slots])
+
+    def stats(self, belief: Particles) -> dict[str, Any]:
+        """See `protocols.Estimator`; of the heaviest particle."""
+        return {**belief.stats, "effective": float(1.0 / np.square(belief.weights()).sum())}
+
+
+def _first(order: Ids, best: int) -> Ids:
+    """The same particles with `best` in front (it survives any systematic resampling)."""
+    place = int(np.flatnonzero(order == best)[0]) if (order == best).any() else 0
+    swapped = order.copy()
+    swapped[0], swapped[place] = order[place], order[0]
+    return swapped
+
+
+def _in_body(b: Particles) -> Array:
+    """Covariances (M, 3, 3) of the poses in their own frames."""
+    B = np.zeros((len(b.pose), 3, 3))
+    c, s = np.cos(b.pose[:, 2]), np.sin(b.pose[:, 2])
+    B[:, 0, 0] = B[:, 1, 1] = c
+    B[:, 0, 1], B[:, 1, 0], B[:, 2, 2] = s, -s, 1.0
+    cov: Array = B @ b.cov @ B.transpose(0, 2, 1)
+    return cov
+
+
+def _expect(sensor: Sensor, points: Array) -> tuple[Array, Array]:
+    """z_hat and its derivative by the point, of points (M, c, 2) in the robots' frames: one call for all."""
+    z_hat, _, H = sensor.expect(ORIGIN, points.reshape(-1, 2))
+    return z_hat.reshape(points.shape), H.reshape(*points.shape, 2)
+
+
+def _of_each(pose: Array, slots: Ids, m: Pages) -> tuple[Array, Array]:
+    """Landmarks `slots` (M, m; -1 gives a stand-in) in each robot's frame: points, covariances (M, m, 2, 2)."""
+    some = np.unique(slots[slots >= 0])
+    points, spread, _ = kernel.to_body(pose, some, m.table, m.mean, m.cov, m.has)
+    column = np.minimum(np.searchsorted(some, np.maximum(slots, 0)), len(some) - 1)
+    each = np.arange(len(pose))[:, None]
+    return points[each, column], spread[each, column]
+
+
+def _after(shift: Array, points: Array, spread: Array) -> tuple[Array, Array]:
+    """Points and covariances seen from robots moved by `shift` (M, 3) in their own frames."""
+    c, s = np.cos(shift[:, 2]), np.sin(shift[:, 2])
+    B = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -2)
+    moved = np.einsum("pij,pkj->pki", B, points - shift[:, None, :2])
+    turned = B[:, None] @ spread @ B[:, None].transpose(0, 1, 3, 2)
+    return moved, turned
+
+
+def _by_motion(H: Array, moved: Array, shift: Array) -> Array:
+    """Derivative (M, m, 2, 3) by the motion in the frame before the shift: db = -B de - J b da."""
+    c, s = np.cos(shift[:, 2]), np.sin(shift[:, 2])
+    by_motion = np.zeros((*moved.shape, 3))
+    by_motion[:, :, 0, 0] = by_motion[:, :, 1, 1] = -c[:, None]
+    by_motion[:, :, 0, 1], by_motion[:, :, 1, 0] = -s[:, None], s[:, None]
+    by_motion[:, :, 0, 2], by_motion[:, :, 1, 2] = moved[:, :, 1], -moved[:, :, 0]
+    Hx: Array = H @ by_motion
+    return Hx

@@ -1,0 +1,95 @@
+"""What a run learns about its own sensor: where it really sees, how much it sees that is nothing, how honest its noise is.
+
+A data sheet's field of view is seldom the truth: far landmarks are missed, others hide behind each other. What counts for
+a landmark's existence is how often one in its place would have been seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tomthumb.protocols import Sensor
+from tomthumb.types import Array, Ids, Mask
+
+EDGES = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0])  # m: rings, about a factor 1.5 each
+SECTORS = 6  # of 30 deg off the axis, left and right alike
+
+
+@dataclass(slots=True)
+class DetectionMap:
+    """Share of opportunities taken in each cell (ring, sector), from `prior` (worth `weight` opportunities)."""
+
+    prior: float = 0.95
+    weight: float = 4.0
+    seen: Array = field(default_factory=lambda: np.zeros((len(EDGES) + 1, SECTORS)))
+    tried: Array = field(default_factory=lambda: np.zeros((len(EDGES) + 1, SECTORS)))
+
+    def chance(self, points: Array) -> Array:
+        """Probability of detection (n,) of points (n, 2) m in the sensor's frame, were they in its field of view."""
+        cell = _cells(points)
+        share: Array = (self.seen[cell] + self.prior * self.weight) / (self.tried[cell] + self.weight)
+        return share
+
+    def record(self, points: Array, seen: Mask) -> None:
+        """Confirmed landmarks that stood in the field of view, and which of them were seen."""
+        cell = _cells(points)
+        np.add.at(self.tried, cell, 1.0)
+        np.add.at(self.seen, cell, seen.astype(float))
+
+
+def _cells(points: Array) -> tuple[Ids, Ids]:
+    ring = np.searchsorted(EDGES, np.hypot(points[:, 0], points[:, 1]))
+    off = np.abs(np.arctan2(points[:, 1], points[:, 0]))
+    sector = np.minimum((off * SECTORS / np.pi).astype(np.int64), SECTORS - 1)
+    return ring.astype(np.int64), sector
+
+
+@dataclass(slots=True)
+class Surprise:
+    """How much the last residuals exceed what R claims: median d2 of pairings, and of what all but paired, over its due.
+
+    Noise that is said too small makes every gate reject right pairings; a log's data sheet often does. The median does
+    not mind walkers and outliers. Below `dead` (3 sigma of the median of 400 values) nothing happens, so a right
+    model stays as it is; `most` keeps a lost filter from accepting everything.
+    """
+
+    dead: float = 1.25
+    most: float = 9.0
+    least: int = 100
+    last: deque[float] = field(default_factory=lambda: deque(maxlen=400))
+    scale: float = 1.0
+
+    def record(self, d2: Iterable[float]) -> None:
+        """Squared distances (2 degrees of freedom each: median 2 log 2), by the R that was claimed."""
+        self.last.extend(d2)
+        if len(self.last) >= self.least:
+            middle, upper = np.quantile(self.last, (0.5, 0.95))
+            ratio = float(max(middle / (2.0 * math.log(2.0)), upper / (2.0 * math.log(20.0))))
+            self.scale = min(ratio, self.most) if ratio > self.dead else 1.0
+
+
+@dataclass(slots=True)
+class Clutter:
+    """Running estimate of the density of unexplained observations, per m2 and scan: starts at `prior`, worth `weight` scans."""
+
+    area: float
+    prior: float = 0.3
+    weight: float = 5.0
+    scans: float = 0.0
+    count: float = 0.0
+
+    @property
+    def density(self) -> float:
+        """Observations that nothing explained, per m2 and scan."""
+        return (self.prior * self.weight + self.count / self.area) / (self.weight + self.scans)
+
+
+def area_in_view(sensor: Sensor) -> float:
+    """Plane in view, m2; a sensor without limit of range is given 10 m, since only the order of magnitude matters."""
+    reach = sensor.max_range if math.isfinite(sensor.max_range) else 10.0
+    return 0.5 * sensor.fov * reach * reach
