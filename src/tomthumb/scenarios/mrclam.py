@@ -21,7 +21,7 @@ ROBOTS = 5
 STD = (0.15, math.radians(1.2))
 # The controls are commands, not measurements: dead reckoning is off by up to 1.1 m after a minute. As noise of each
 # command of 0.012 s these stds give about that.
-CONTROL_STD = (0.2, 0.3)
+CONTROL_STD = (0.1, 0.15)
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
