@@ -270,6 +270,17 @@ class FastSLAM:
         b.view = None
         return b
 
+    def place(self, belief: Particles, ids: Ids, landmarks: Array, covs: Array) -> Particles:
+        """See `protocols.Estimator`."""
+        m = belief.maps
+        slots = np.array(pages.open_slots(m, ids.tolist()), np.int64)
+        every = np.tile(slots, (len(belief.pose), 1))
+        pages.reserve(m, pages.columns_of(every))
+        kernel.found(np.zeros_like(belief.pose), every, landmarks, covs, *pages.arrays(m))
+        kernel.boxes(slots, m.table, m.mean, m.has, m.box)
+        belief.view = None
+        return self.promote(belief, ids)
+
     def promote(self, belief: Particles, ids: Ids) -> Particles:
         """See `protocols.Estimator`."""
         belief.maps.stone[[belief.maps.slot[i] for i in ids.tolist()]] = True

@@ -136,8 +136,7 @@ def _named(
 def _covariance(upper: list[float], size: int, path: object, number: int) -> Array:
     information = np.zeros((size, size))
     information[np.triu_indices(size)] = upper
-    information = np.asarray(information + np.triu(information, 1).T, float)
+    information += np.triu(information, 1).T
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         raise BrokenFile(path, "an information matrix is not positive definite", number)
-    cov: Array = np.linalg.inv(information)
-    return cov
+    return np.asarray(np.linalg.inv(information), np.float64)
