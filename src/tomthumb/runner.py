@@ -29,7 +29,7 @@ def run(
     """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
 
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
-    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`), which
+    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`); it
     goes on growing unless ``slam.frozen``. Raises `TomThumbError`.
     """
     slam = prepare(
@@ -78,9 +78,7 @@ def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool,
     from tomthumb.known_map import start_in
 
     if oracle or scenario.teach_steps:
-        raise TomThumbError(
-            "the oracle knows landmarks by their first observation: it cannot name those of a saved map"
-        )
+        raise TomThumbError("the oracle knows landmarks by their first observation, not those of a saved map")
     start_in(slam, start_map, frozen)
 
 

@@ -278,7 +278,7 @@ def left_out_gains(match: Array, nu: Array, C: Array, R: Array, base: Array, sta
                 jb = match[rows[b]]
                 for s in range(2):
                     own[s, 2 * b], own[s, 2 * b + 1] = C[2 * j + s, 2 * jb], C[2 * j + s, 2 * jb + 1]
-            W = own @ Qi
+            W = own @ np.ascontiguousarray(Qi)
             u0, u1 = nu[i, j, 0], nu[i, j, 1]
             a, b01, d = (
                 C[2 * j, 2 * j] + R[i, 0, 0],

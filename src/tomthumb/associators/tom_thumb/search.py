@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, permitted, rigid, window
 from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
@@ -126,11 +126,12 @@ class TomThumb:
     def _basin(self, s: Rigid, pose: Array, cell: float, grid: Any, Xi_inverse: Array) -> Basin:
         gate2 = float(chdtri(2, 1.0 - self.gates[1]))
         reach = np.sqrt(gate2 * np.linalg.eigvalsh(s.R + 3.0 * s.D.mean(0))[:, 1])
-        start, columns = flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid)
+        near = permitted(*flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid), s.allowed)
+        start, columns = near.start, near.columns
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
         gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
-        return Basin(match, value, gains, Window(start, columns), at, M)
+        return Basin(match, value, gains, near, at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
