@@ -157,7 +157,6 @@ def test_a_run_is_smoothed():
     trace = run(world, associator="oracle", estimator=InvariantEKF(world.motion, world.sensor))
     graph = graph_of(trace, world)
     assert len(graph.poses) == len(world.steps)
-    stones = trace.final.ids[trace.final.stone]
     assert len(graph.sightings) == np.isin(trace.final_ids, graph.ids).sum()
     assert set(trace.final.ids[trace.final.stone]) <= set(graph.ids.tolist())
     smoothed = solve(graph)

@@ -52,8 +52,9 @@ class Graph:
 def graph_of(trace: Trace, scenario: Scenario, *, calibration: Mapping[str, float] | None = None) -> Graph:
     """The graph of a finished run, started from its estimates; sightings as the run named them in the end.
 
-    All landmarks that ever were stones are in it, also those forgotten since. `calibration` gives systematic errors of the odometry, by name, that are
-    taken out of it (`models.calibration`). Raises TomThumbError for a run without a scan or a sensor of another kind.
+    All landmarks that ever were stones are in it, also those forgotten since. `calibration` gives systematic errors of
+    the odometry, by name, that are taken out of it (`models.calibration`). Raises TomThumbError for a run without a
+    scan or a sensor of another kind.
     """
     steps = list(scenario.steps)[: len(trace.t)]
     scans = np.array([k for k, step in enumerate(steps) if step.observations is not None], np.int64)
