@@ -126,6 +126,12 @@ CATALOGUE: tuple[Entry, ...] = (
         "cityTrees*.txt*",
     ),
     _entry(
+        "rosbag",
+        "rosbag:load_bag",
+        "a mapping FILE.toml that names the bag and its topics",
+        "a ROS 1, ROS 2 or MCAP bag: see docs/logs.md",
+    ),
+    _entry(
         "jsonl",
         "jsonl:load_jsonl",
         "FILE.jsonl",

@@ -212,7 +212,8 @@ def pose_at(t: Array, times: Array, poses: Array, longest_gap: float) -> Array:
     delta[:, 2] = wrap(delta[:, 2])
     out: Array = a + share * delta
     out[:, 2] = wrap(out[:, 2])
-    out[(t < times[0]) | (t > times[-1]) | (gap > longest_gap)] = np.nan
+    between = (share[:, 0] > 0) & (share[:, 0] < 1)
+    out[(t < times[0]) | (t > times[-1]) | (between & (gap > longest_gap))] = np.nan
     return out
 
 
