@@ -23,6 +23,7 @@ def test_samples_are_neither_made_nor_lost(kind: str) -> None:
         assert colony.marks.min() >= 0
 
 
+@pytest.mark.slow
 def test_every_kind_beats_the_brownian_walker() -> None:
     mean = {kind: np.mean([brought(kind, seed) for seed in range(5)]) for kind in KINDS}
     assert min(v for k, v in mean.items() if k != "brownian") > mean["brownian"]
