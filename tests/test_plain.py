@@ -1,4 +1,4 @@
-"""`tomthumb.associate` on plain arrays: shapes, what is refused and with which words, and that it does what the parts do."""
+"""`tomthumb.associate` on plain arrays: shapes, what is refused and in which words, agreement with the parts."""
 
 from __future__ import annotations
 

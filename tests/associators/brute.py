@@ -16,7 +16,7 @@ WRAPPED = np.array([False, True])
 
 
 def random_problem(rng, m, n, *, spread=1.0, pose=0.3, own=0.15, noise=0.15, angles=(), labels=False):
-    """Correlated predictions in a small square, so that gates overlap; about a quarter of the observations is clutter."""
+    """Correlated predictions in a small square, so that gates overlap; about a quarter of the scan is clutter."""
     points = rng.uniform(-spread, spread, (n, 2)) + (np.array([4.0, 0.0]) if angles else 0.0)
     B = np.zeros((2 * n, 3))
     B[0::2, 0] = B[1::2, 1] = 1.0

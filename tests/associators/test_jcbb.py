@@ -91,8 +91,8 @@ def test_a_spent_budget_is_told():
 
 
 def faithful_reference(problem, gate):
-    """The published recursion, literally: given order, landmarks by index, star last, no uniqueness, first best kept."""
-    m, n = problem.shape
+    """The published recursion: given order, landmarks by index, star last, no uniqueness, first best kept."""
+    m = len(problem.z)
     compatible = problem.d2 < chdtri(2, 1 - gate)
     best = [np.full(m, -1)]
 

@@ -16,7 +16,7 @@ from tomthumb.types import AssociationProblem, Predictions
 
 
 def wide(rng, m, metres=0.6, degrees=4.0):
-    """About m Cartesian observations of a known cloud, one landmark per m2, from a pose uncertain by (metres, degrees)."""
+    """About m Cartesian observations of a known cloud, one landmark per m2, from an uncertain pose."""
     reach = np.sqrt(m / np.pi)
     extent = reach + 4 * metres
     points = rng.uniform(-extent, extent, (rng.poisson(4 * extent**2), 2))
@@ -110,7 +110,7 @@ def test_the_refined_pose_is_the_true_one():
         gate2, cell = 27.6, 0.5
         grid = flights.fill_grid(s.p, cell)
         start, columns = flights.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, cell, *grid)
-        rough = error + [0.05, -0.05, 0.01]
+        rough = error + np.array([0.05, -0.05, 0.01])
         prior = np.linalg.inv(s.Xi)
         at, M, match, _ = flights.refine(rough, s.q, s.R, s.p, s.D, s.base, s.odds, prior, start, columns, gate2, 3)
         off = at - error

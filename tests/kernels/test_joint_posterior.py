@@ -1,4 +1,4 @@
-"""The joint posterior: its value, its conditional form, its search and its marginals, against dense and exhaustive ones."""
+"""The joint posterior: value, conditional form, search and marginals, against dense and exhaustive ones."""
 
 from __future__ import annotations
 
