@@ -97,7 +97,7 @@ def test_surprise_is_silent_for_honest_noise_and_finds_the_factor_of_dishonest()
         surprise.record((factor * rng.chisquare(2, 400)).tolist())
         assert surprise.scale == 1.0 if factor == 1.0 else abs(surprise.scale - factor) < 0.75
     crowd = Surprise()
-    crowd.record(np.where(rng.random(400) < 0.03, 30.0, rng.chisquare(2, 400)).tolist())
+    crowd.record(np.where(rng.random(400) < 0.02, 30.0, rng.chisquare(2, 400)).tolist())
     assert crowd.scale == 1.0
 
 

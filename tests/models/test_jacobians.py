@@ -31,15 +31,17 @@ def numeric(f, x):
 def test_sensor_jacobians(sensor):
     rng = np.random.default_rng(4)
     for _ in range(20):
-        pose, points = rng.normal(size=3), rng.normal(size=(5, 2)) * 4 + 5
-        z, by_pose, by_point = sensor.expect(pose, points)
-        assert_allclose(by_pose, numeric(lambda p: sensor.expect(p, points)[0], pose), atol=1e-6)
-        shifted = numeric(lambda d: sensor.expect(pose, points + d)[0], np.zeros(2))
-        assert_allclose(by_point, shifted, atol=1e-6)
-        back, from_pose, from_z = sensor.locate(pose, z)
-        assert_allclose(back, points, atol=1e-12)
-        assert_allclose(from_pose, numeric(lambda p: sensor.locate(p, z)[0], pose), atol=1e-6)
-        assert_allclose(from_z, numeric(lambda d: sensor.locate(pose, z + d)[0], np.zeros(2)), atol=1e-5)
+        check_sensor(sensor, rng.normal(size=3), rng.normal(size=(5, 2)) * 4 + 5)
+
+
+def check_sensor(sensor, pose, points):
+    z, by_pose, by_point = sensor.expect(pose, points)
+    assert_allclose(by_pose, numeric(lambda p: sensor.expect(p, points)[0], pose), atol=1e-6)
+    assert_allclose(by_point, numeric(lambda d: sensor.expect(pose, points + d)[0], np.zeros(2)), atol=1e-6)
+    back, from_pose, from_z = sensor.locate(pose, z)
+    assert_allclose(back, points, atol=1e-12)
+    assert_allclose(from_pose, numeric(lambda p: sensor.locate(p, z)[0], pose), atol=1e-6)
+    assert_allclose(from_z, numeric(lambda d: sensor.locate(pose, z + d)[0], np.zeros(2)), atol=1e-5)
 
 
 MOTIONS = [
