@@ -2,7 +2,7 @@
 
     pip install "tomthumb[bench-optimize]"
     python benchmarks/optimisers.py --figure docs/figures/optimisers.png
-    python benchmarks/optimisers.py --ablate --instances 11-14 --dimensions 2,5,10 --out benchmarks/results/ablation.csv
+    python benchmarks/optimisers.py --ablate --instances 11-14 --dimensions 2,5 --out benchmarks/results/ablation.csv
 
 24 functions, dimensions 2 to 20, a budget of evaluations a dimension. A row of the CSV is one run: evaluations needed
 to come within each precision of the known optimum, empty where it never did. Everybody gets the same box [-5, 5]^n and
