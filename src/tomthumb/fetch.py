@@ -75,7 +75,7 @@ def fetch(name: str, folder: Path, *, base: str | None = None, progress: Progres
 
     `base` stands for the source's address (a mirror, a test). ``progress(file, done, total)`` is called as bytes come
     in. Returns name, kind, folder, licence, citation, and which files were `downloaded` and which `kept`. Raises
-    UnknownName, and TomThumbError where a download fails or its content is not the one expected (which is then removed).
+    UnknownName, and TomThumbError where a download fails or its content is not what was expected (then it is removed).
     """
     known = sources()
     if name not in known:

@@ -17,7 +17,7 @@ import numpy as np
 from tomthumb import lifecycle
 from tomthumb.checks import check_step
 from tomthumb.errors import Diverged
-from tomthumb.kernels.gates import innovations
+from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
@@ -28,6 +28,7 @@ from tomthumb.types import (
     Control,
     Estimate,
     Ids,
+    Mask,
     Observations,
     Predictions,
     Prior,
@@ -367,16 +368,15 @@ class Slam:
         )  # fmt: skip
 
 
-def _wrapped(sensor: Sensor) -> Array:
-    flags: Any = np.zeros(2, bool)
+def _wrapped(sensor: Sensor) -> Mask:
+    flags: Mask = np.zeros(2, bool)
     flags[list(sensor.angles)] = True
     return flags
 
 
-def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Array) -> list[float]:
+def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Mask) -> list[float]:
     """d2 of each pairing at the prior."""
     if not len(rows):
         return []
-    from tomthumb.kernels.gates import paired_distances
-
-    return paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped).tolist()
+    d2: Array = paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped)
+    return [float(value) for value in d2]

@@ -135,7 +135,7 @@ def read_mapping(path: Path, bag: Path | None = None) -> BagMapping:
     """The TOML file, checked. Raises BrokenFile where it is no TOML, TomThumbError for wrong keys and values."""
     try:
         raw = tomllib.loads(read_text(path, 1 << 20))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or an integer of too many digits
         raise BrokenFile(path, f"not TOML: {error}") from None
     for key in raw:
         if key not in KEYS:
