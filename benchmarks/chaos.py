@@ -24,6 +24,7 @@ from typing import Any
 from tomthumb.bench import Where, bench, lasting, read_grid, read_rows
 from tomthumb.bench.journal import reading
 from tomthumb.bench.session import journal_path
+from tomthumb.errors import BrokenFile
 
 GRID = """
 seeds = {seeds}
@@ -222,8 +223,11 @@ def count_rows(home: Path) -> int:
     """Rows of the disturbed grid so far."""
     if not journal_path(home / "wild").exists():
         return 0
-    with reading(journal_path(home / "wild")) as journal:
-        return len(journal.keys())
+    try:
+        with reading(journal_path(home / "wild")) as journal:
+            return len(journal.keys())
+    except BrokenFile:  # its tables are being made
+        return 0
 
 
 def free_port() -> int:
