@@ -200,6 +200,20 @@ def table(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
+def differences(rows: list[dict[str, str]]) -> str:
+    """Ours minus each other in points of targets reached, with 95 % bootstrap intervals over the functions."""
+    shares = {}
+    for name in OPTIMISERS:
+        own = [[r for r in rows if r["optimiser"] == name and int(r["function"]) == f] for f in FUNCTIONS]
+        shares[name] = np.array([np.mean([bool(r[f"{p:g}"]) for r in part for p in PRECISIONS]) for part in own])
+    ours, rng, lines = shares.pop("tomthumb.minimize"), np.random.default_rng(0), []
+    for name, theirs in shares.items():
+        gaps = 100 * (ours - theirs)
+        low, high = np.quantile(gaps[rng.integers(0, len(gaps), (5000, len(gaps)))].mean(axis=1), (0.025, 0.975))
+        lines.append(f"tomthumb.minimize minus {name}: {gaps.mean():+.1f} points [{low:+.1f}, {high:+.1f}]")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Run what is missing, then the table on stdout and the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -212,6 +226,7 @@ def main() -> None:
     sweep([int(n) for n in given.dimensions.split(",")], given.instances, given.budget, given.out)
     rows = read(given.out)
     print(table(rows))
+    print(differences(rows))
     if given.figure:
         draw(rows, given.figure)
 

@@ -23,8 +23,7 @@ class LifeCycle:
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
-    in_view: chance of being in the field of view that makes a good opportunity. recall: opportunities remembered before
-    the older half fades, so that a long past does not keep a duplicate alive. merge: unite duplicates.
+    in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     """
 
@@ -37,7 +36,6 @@ class LifeCycle:
     purge: float = 0.35
     trial: int = 8
     in_view: float = 0.9
-    recall: float = 40.0
     merge: bool = True
     reference: bool = False
 
@@ -89,13 +87,10 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
         life.static += distance < gate2
 
 
-def record_misses(ledger: Ledger, missed: Ids, chance: Array, policy: LifeCycle) -> None:
+def record_misses(ledger: Ledger, missed: Ids, chance: Array) -> None:
     """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
     for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
-        life = ledger[i]
-        life.chances += p
-        if life.chances > policy.recall:
-            life.hits, life.chances = 0.5 * life.hits, 0.5 * life.chances
+        ledger[i].chances += p
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
@@ -130,6 +125,21 @@ def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:
     free = np.ones_like(taken) if policy.reference else ~taken
     new: Mask = ~(d2[:, free] < gate2).any(1) if d2.shape[1] else np.ones(len(d2), bool)
     return new
+
+
+def named_late(d2: Array, taken: Mask, predictions: Predictions, policy: LifeCycle) -> Ids:
+    """Columns (m,) of ambiguous observations that only one free stone explains, and that alone explain it; else -1.
+
+    A gate must not cost pairs by itself: such an observation is given the landmark's name, but never moves the filter.
+    """
+    late = np.full(len(d2), -1, np.int64)
+    if policy.reference or predictions.stone is None or not d2.size:
+        return late
+    close = (d2 < chdtri(2, 1.0 - policy.apart)) & ~taken[None]
+    alone = close & (close.sum(1) == 1)[:, None] & (close.sum(0) == 1)[None] & predictions.stone[None]
+    rows, columns = np.nonzero(alone)
+    late[rows] = columns
+    return late
 
 
 def duplicates(ledger: Ledger, predictions: Predictions, seen: set[int], policy: LifeCycle) -> list[tuple[int, int]]:

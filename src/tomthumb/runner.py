@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tomthumb.errors import UnknownName
+from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.lifecycle import LifeCycle
 from tomthumb.slam import Branch, Slam
-from tomthumb.types import Array, Ids, Scenario, StepRecord, Trace
+from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
 
 Settings = Mapping[str, Mapping[str, Any]]
 
@@ -23,13 +23,14 @@ def run(
     estimator: Any = "ekf",
     seed: int = 0,
     settings: Settings | None = None,
-    start_map: Any = None,
+    start_map: Estimate | None = None,
     progress: Callable[[StepRecord], None] | None = None,
 ) -> Trace:
     """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
 
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
-    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in. Raises `TomThumbError`.
+    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`); it
+    goes on growing unless ``slam.frozen``. Raises `TomThumbError`.
     """
     slam = prepare(
         scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map
@@ -49,7 +50,7 @@ def prepare(
     estimator: Any = "ekf",
     seed: int = 0,
     settings: Settings | None = None,
-    start_map: Any = None,
+    start_map: Estimate | None = None,
 ) -> Slam:
     """A `Slam` ready for the scenario's steps: parts built by name, teacher hired, map loaded, random streams apart."""
     chosen: dict[str, dict[str, Any]] = {"associator": {}, "estimator": {}, "slam": {}}
@@ -65,12 +66,20 @@ def prepare(
     slam = Slam(
         scenario.motion, scenario.sensor, scenario.prior, built,
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
-        policy=policy, width=width or getattr(built, "width", 1), teacher=teacher, teach_steps=scenario.teach_steps,
+        policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
     )  # fmt: skip
     if start_map is not None:
-        slam.load(start_map)
+        _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
     return slam
+
+
+def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> None:
+    from tomthumb.known_map import start_in
+
+    if oracle or scenario.teach_steps:
+        raise TomThumbError("the oracle knows landmarks by their first observation, not those of a saved map")
+    start_in(slam, start_map, frozen)
 
 
 def _oracle(truth: Ids | None) -> Any:
@@ -88,12 +97,16 @@ def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **give
 
 def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
     """The life cycle and the number of branches from `slam.` settings."""
-    known = [f.name for f in fields(LifeCycle)] + ["width", "faithful"]
+    known = [f.name for f in fields(LifeCycle)] + ["width", "faithful", "frozen"]
     for key in values:
         if key not in known:
             raise UnknownName("setting of slam", key, known)
-    rest = {k: v for k, v in values.items() if k not in ("width", "faithful")}
+    rest = {k: v for k, v in values.items() if k not in ("width", "faithful", "frozen")}
     policy = LifeCycle(**rest)
+    if values.get("frozen"):
+        from tomthumb.known_map import frozen_policy
+
+        policy = frozen_policy(policy)
     return (policy.faithful() if values.get("faithful") else policy), values.get("width")
 
 
@@ -140,7 +153,9 @@ def _events(branch: Branch) -> tuple[Ids, Ids]:
 
 def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
     """Ids and poses of the best branch's own past, which may differ from what was given out at the time."""
-    ids, poses, node = [], [], branch.history
+    ids: list[Ids] = []
+    poses: list[Array] = []
+    node = branch.history
     while node is not None and len(poses) < steps:
         node, step_ids, pose = node
         ids.append(step_ids)

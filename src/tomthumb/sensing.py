@@ -68,7 +68,8 @@ class Surprise:
         """Squared distances (2 degrees of freedom each: median 2 log 2), by the R that was claimed."""
         self.last.extend(d2)
         if len(self.last) >= self.least:
-            ratio = float(np.median(self.last)) / (2.0 * math.log(2.0))
+            middle, upper = np.quantile(self.last, (0.5, 0.95))
+            ratio = float(max(middle / (2.0 * math.log(2.0)), upper / (2.0 * math.log(20.0))))
             self.scale = min(ratio, self.most) if ratio > self.dead else 1.0
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from tomthumb import lifecycle
 from tomthumb.checks import check_step
 from tomthumb.errors import Diverged
-from tomthumb.kernels.gates import innovations
+from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
@@ -28,6 +28,7 @@ from tomthumb.types import (
     Control,
     Estimate,
     Ids,
+    Mask,
     Observations,
     Predictions,
     Prior,
@@ -240,15 +241,15 @@ class Slam:
         ids, predictions = named[0], every[0]
         hit = ids >= 0
         self._evidence(branch, predictions, matches[0], scan, ids)
-        born = self._births(branch, scan, named)
+        born, late = self._births(branch, scan, named)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
             self._merge(branch, predictions, set(ids[hit].tolist()))
         self.clutter.count += float(np.count_nonzero(~hit))
         self.clutter.scans += 1.0
-        branch.paired = ids
-        branch.ids = np.where(born, scan.serials, ids)
+        branch.paired = np.where(late >= 0, late, ids)
+        branch.ids = np.where(born, scan.serials, branch.paired)
         who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None
         if who is None or who is not self.associator:
             self.associator.learn(branch.ids, self.t)
@@ -274,26 +275,28 @@ class Slam:
         inside = predictions.visible > self.policy.in_view * np.minimum(chance, 0.999)
         seen = np.array([i in hit for i in predictions.ids.tolist()], bool)
         missed = inside & ~seen
-        lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed], self.policy)
+        lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed])
         if predictions.stone is not None and branch is self.branches[0]:
             known = inside & predictions.stone
             self.detection.record(predictions.points[known], seen[known])
 
-    def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> Any:
-        """Observations that found a crumb, (m,) bool for the first particle; others only where theirs are free too."""
+    def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
+        """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
+        nobody = np.full(len(scan), -1, np.int64)
         if (named[0] >= 0).all() and len(named) == 1:
-            return np.zeros(len(scan), bool)
+            return nobody >= 0, nobody
         fresh = self.estimator.expect(branch.belief)
-        founded = [self._founders(p, ids, scan) for p, ids in zip(fresh, named, strict=True)]
+        told = [self._unexplained(p, ids, scan) for p, ids in zip(fresh, named, strict=True)]
+        founded = [founders for founders, _ in told]
         branch.belief = self.estimator.add(branch.belief, scan.raw, founded, self.rng_estimator)
         for row in np.flatnonzero(np.max(founded, axis=0) >= 0):
             label = -1 if scan.raw.labels is None else int(scan.raw.labels[row])
             branch.ledger[int(scan.serials[row])] = Life(self.scan, label=label)
             branch.crumbs.add(int(scan.serials[row]))
-        return founded[0] >= 0
+        return founded[0] >= 0, told[0][1]
 
-    def _founders(self, predictions: Predictions, ids: Ids, scan: Scan) -> Ids:
-        """Ids (m,) of new landmarks, their observation's serial; -1 where paired, or too near a landmark still free."""
+    def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan) -> tuple[Ids, Ids]:
+        """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1."""
         rows = np.flatnonzero(ids < 0)
         loose = self.problem(predictions, scan.honest.take(rows), scan.serials[rows])
         taken = np.isin(predictions.ids, ids[ids >= 0])
@@ -301,9 +304,11 @@ class Slam:
         if not new.all():
             raw = self.problem(predictions, scan.raw.take(rows[~new]), scan.serials[rows[~new]])
             self.surprise.record(np.where(taken, np.inf, raw.d2).min(1).tolist())
-        founders = np.full(len(scan), -1, np.int64)
+        founders, late = np.full(len(scan), -1, np.int64), np.full(len(scan), -1, np.int64)
         founders[rows[new]] = scan.serials[rows[new]]
-        return founders
+        column = lifecycle.named_late(loose.d2, taken, predictions, self.policy)
+        late[rows] = np.where(column >= 0, predictions.ids[column], -1) if len(predictions) else -1
+        return founders, late
 
     def _promote(self, branch: Branch, candidates: list[int]) -> None:
         crumbs = [i for i in candidates if i in branch.crumbs]
@@ -363,16 +368,15 @@ class Slam:
         )  # fmt: skip
 
 
-def _wrapped(sensor: Sensor) -> Array:
-    flags: Any = np.zeros(2, bool)
+def _wrapped(sensor: Sensor) -> Mask:
+    flags: Mask = np.zeros(2, bool)
     flags[list(sensor.angles)] = True
     return flags
 
 
-def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Array) -> list[float]:
+def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Mask) -> list[float]:
     """d2 of each pairing at the prior."""
     if not len(rows):
         return []
-    from tomthumb.kernels.gates import paired_distances
-
-    return paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped).tolist()
+    d2: Array = paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped)
+    return [float(value) for value in d2]

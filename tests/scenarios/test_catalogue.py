@@ -63,7 +63,10 @@ def test_unknown_name_is_its_own_error():
 
 def test_a_function_in_a_file(tmp_path):
     (tmp_path / "mine.py").write_text(
+        "from __future__ import annotations\n"
+        "from dataclasses import dataclass\n"
         "from tomthumb.scenarios.cloister import cloister\n"
+        "@dataclass\nclass Mine:\n    number: int = 0\n"
         "def world(rng, *, walkers: int = 0):\n    return cloister(rng, people=walkers)\n"
         "def wrong():\n    return 3\n"
     )

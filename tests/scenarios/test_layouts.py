@@ -190,3 +190,8 @@ def test_mistakes_in_jsonl_are_named(tmp_path, line, words):
     with pytest.raises(BrokenFile, match=r"a\.jsonl:3: ") as caught:
         load_jsonl(tmp_path / "a.jsonl")
     assert words in str(caught.value)
+
+
+def test_an_endless_number_in_toml_is_named(tmp_path):
+    with pytest.raises(BrokenFile, match="not TOML"):
+        load_csv(write(tmp_path, **{**MINIMAL, "scenario_toml": "format = " + "9" * 5000}))

@@ -7,6 +7,7 @@ the cluster but a Python with the same tomthumb.
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -95,7 +96,13 @@ def run_on_cluster(
     Raises TomThumbError when no scheduler answers for `patience_s`, when Dask is not installed, or the code differs.
     """
     _dask()
-    fleet = Fleet(deque(jobs), record, limits, where.runner, strike, dict(strikes or {}))
+    with _quiet():
+        _through_losses(
+            Fleet(deque(jobs), record, limits, where.runner, strike, dict(strikes or {})), where, patience_s
+        )
+
+
+def _through_losses(fleet: Fleet, where: Where, patience_s: float) -> None:
     deadline = time.monotonic() + patience_s
     while fleet.jobs or fleet.flying:
         before = len(fleet.jobs)
@@ -173,6 +180,18 @@ def _client(where: Where) -> Iterator[Any]:
     options = {"n_workers": where.workers, "threads_per_worker": 1, "dashboard_address": None}
     with LocalCluster(**options) as cluster, Client(cluster, set_as_default=False) as client:
         yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """A lost scheduler is our business: Dask need not print pages about it."""
+    logger = logging.getLogger("distributed.client")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _dask() -> None:

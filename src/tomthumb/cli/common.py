@@ -78,6 +78,11 @@ class Job:
         }
 
 
+def job_of(about: Mapping[str, Any]) -> Job:
+    """The job that a saved run tells of."""
+    return Job(**about)
+
+
 def read_settings(config: Path | None, sets: list[str] | None) -> Settings:
     """The file, then the --set options over it."""
     from tomthumb.config import empty, join, parse_sets, read_file

@@ -44,7 +44,16 @@ def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
 
 @jit
 def best_near(
-    x: float, y: float, W: Array, points: Array, worth: Array, cell: float, low: Array, shape: Array, start: Array, index: Array
+    x: float,
+    y: float,
+    W: Array,
+    points: Array,
+    worth: Array,
+    cell: float,
+    low: Array,
+    shape: Array,
+    start: Array,
+    index: Array,
 ) -> float:
     """max over the points in the 3 x 3 window around (x, y) of worth_j - d2 / 2, d2 by the inverse covariance W (3,)."""
     cx, cy = math.floor((x - low[0]) / cell), math.floor((y - low[1]) / cell)
@@ -148,14 +157,21 @@ def explore(
 
 @jit
 def _quadratic(M: Array, x: float, y: float, t: float) -> float:
-    return (
-        M[0, 0] * x * x + M[1, 1] * y * y + M[2, 2] * t * t + 2.0 * (M[0, 1] * x * y + M[0, 2] * x * t + M[1, 2] * y * t)
-    )
+    squares = M[0, 0] * x * x + M[1, 1] * y * y + M[2, 2] * t * t
+    return float(squares + 2.0 * (M[0, 1] * x * y + M[0, 2] * x * t + M[1, 2] * y * t))
 
 
 @jit
 def _settle(
-    poses: Array, scores: Array, support: Array, touched: Array, x: float, y: float, t: float, score: float, apart: Array
+    poses: Array,
+    scores: Array,
+    support: Array,
+    touched: Array,
+    x: float,
+    y: float,
+    t: float,
+    score: float,
+    apart: Array,
 ) -> None:
     """Put a pose into the list of basins, best first; a basin keeps the best of its poses."""
     size = scores.shape[0]
@@ -188,7 +204,15 @@ def _settle(
 
 @jit
 def local_candidates(
-    pose: Array, q: Array, reach: Array, points: Array, cell: float, low: Array, shape: Array, cells: Array, index: Array
+    pose: Array,
+    q: Array,
+    reach: Array,
+    points: Array,
+    cell: float,
+    low: Array,
+    shape: Array,
+    cells: Array,
+    index: Array,
 ) -> tuple[Array, Array]:
     """Points within reach (m,) of where each observation falls under `pose`, as (start, columns)."""
     m = q.shape[0]
@@ -316,7 +340,9 @@ def _lever(gx: float, gy: float, P: Array) -> Array:
 
 
 @jit
-def _normal(at: Array, q: Array, R: Array, points: Array, D: Array, match: Array, prior_inverse: Array) -> tuple[Array, Array]:
+def _normal(
+    at: Array, q: Array, R: Array, points: Array, D: Array, match: Array, prior_inverse: Array
+) -> tuple[Array, Array]:
     """Gauss-Newton's matrix and right side at the pose, prior at zero motion."""
     M, g = prior_inverse.copy(), -prior_inverse @ at
     for i in range(q.shape[0]):

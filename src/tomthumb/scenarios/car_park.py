@@ -89,6 +89,8 @@ def _truth(folder: Path, gps: Array, t: Array) -> Array:
 
 def _derived(folder: Path, t_scan: Array, beacons: int) -> tuple[Scans, Array, Array, Ids]:
     file = folder / "derived" / "beacon_detections.csv"
+    if not file.exists():
+        raise BrokenFile(file, "no such file; detections=raw does without it")
     rows = table(read_bytes(file), file, 6, sep=",", header=1)
     index = whole(rows[:, 0], file, "scan_index")
     if len(index) and (index.min() < 0 or index.max() >= len(t_scan) or (np.diff(index) < 0).any()):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import inspect
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -124,6 +126,12 @@ CATALOGUE: tuple[Entry, ...] = (
         "*.graph*",
         "*.toro*",
         "cityTrees*.txt*",
+    ),
+    _entry(
+        "rosbag",
+        "rosbag:load_bag",
+        "a mapping FILE.toml that names the bag and its topics",
+        "a ROS 1, ROS 2 or MCAP bag: see docs/logs.md",
     ),
     _entry(
         "jsonl",
@@ -268,11 +276,21 @@ def _module(name: str, where: str) -> Any:
 
 
 def _file_module(file: Path) -> Any:
-    if not file.is_file():
+    """A file as a module; the same file gives the same module, so that its classes stay themselves."""
+    full = file.expanduser().resolve()
+    if not full.is_file():
         raise TomThumbError(f"{file}: no such file")
-    spec = importlib.util.spec_from_file_location(file.stem, file)
+    name = f"tomthumb_scenario_{full.stem}_{hashlib.sha256(str(full).encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, full)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.modules[name] = module  # dataclasses look their module up while it is being executed
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module

@@ -72,7 +72,7 @@ def _settings(folder: Path) -> tuple[dict[str, Any], bool]:
     if file.exists():
         try:
             raw = tomllib.loads(read_text(file, 1 << 20))
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or an integer of too many digits
             raise BrokenFile(file, f"not TOML: {error}") from None
     odometry = raw.get("odometry", {})
     if not isinstance(odometry, dict) or odometry.get("holds", "until") not in ("until", "from"):
@@ -195,15 +195,30 @@ def _blank(row: Row) -> bool:
 
 
 def _scan(layout: _Layout, rows: list[tuple[int, Row]], file: Path) -> tuple[Observations, Ids | None]:
-    z = np.array([_need(row, layout.z, file, n) for n, row in rows]).reshape(-1, 2)
-    noise = layout.values["sensor"].noise(z)
-    given = [_symmetric(row, 2, file, n) for n, row in rows]
-    R = np.array([own if own is not None else std for own, std in zip(given, noise, strict=True)]).reshape(-1, 2, 2)
+    z = np.array([[row[name] for name in layout.z] for _, row in rows]).reshape(-1, 2)
+    if np.isnan(z).any():
+        number, row = rows[int(np.argmax(np.isnan(z).any(1)))]
+        _need(row, layout.z, file, number)
     names = rows[0][1] if rows else {}
+    R = layout.values["sensor"].noise(z)
+    if any(name in names for name in triangle(2)):
+        R = _noise(rows, R, file)
     ids = _integers([r["id"] for _, r in rows], -2, file) if "id" in names else None
     labels = _integers([r["label"] for _, r in rows], -1, file) if "label" in names else None
     signature = np.array([r["signature"] for _, r in rows]) if "signature" in names else None
     return Observations(z, R, labels, signature), ids
+
+
+def _noise(rows: list[tuple[int, Row]], default: Array, file: Path) -> Array:
+    """R (m, 2, 2) of a scan, `default` where the columns are empty; all rows at once, since most are right."""
+    v = np.array([[row.get(name, math.nan) for name in triangle(2)] for _, row in rows])
+    blank = np.isnan(v).all(1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        good = (v[:, 0] >= 0) & (v[:, 2] >= 0) & (v[:, 0] * v[:, 2] - v[:, 1] ** 2 >= -1e-12 * v[:, 0] * v[:, 2])
+    for k in np.flatnonzero(~blank & ~good):
+        _symmetric(rows[k][1], 2, file, rows[k][0])
+    R = np.stack([v[:, :2], v[:, 1:]], axis=1)
+    return np.where(blank[:, None, None], default, R)
 
 
 def _integers(values: list[float], blank: int, file: Path) -> Ids:

@@ -170,7 +170,8 @@ def _covariance(
     try:
         if np.linalg.eigvalsh(info).min() <= 0:
             raise np.linalg.LinAlgError
-        cov = np.linalg.inv(info)
+        with np.errstate(all="ignore"):
+            cov = np.linalg.inv(info)
     except np.linalg.LinAlgError:
         raise BrokenFile(where, f"the information of {tag} is not positive definite") from None
     if not np.isfinite(cov).all():

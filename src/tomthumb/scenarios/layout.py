@@ -13,6 +13,7 @@ from tomthumb.errors import TomThumbError
 from tomthumb.models.motion import Ackermann, OdometryIncrement, Velocity
 from tomthumb.models.sensor import Cartesian, RangeBearing
 from tomthumb.scenarios.params import convert, unknown_key
+from tomthumb.scenarios.reading import MAX_NUMBER, sane
 from tomthumb.types import Array, Prior, Scenario
 
 MOTIONS: dict[str, Callable[..., Any]] = {
@@ -144,8 +145,8 @@ def array(value: Any, shape: tuple[int | None, ...], where: str) -> Array:
         return np.empty(tuple(k or 0 for k in shape))
     if out.ndim != len(shape) or any(k not in (None, n) for n, k in zip(out.shape, shape, strict=True)):
         raise TomThumbError(f"{where}: has shape {out.shape} where {_shape(shape)} is expected")
-    if not np.isfinite(out).all():
-        raise TomThumbError(f"{where}: holds values that are not finite")
+    if not sane(out).all():
+        raise TomThumbError(f"{where}: holds values that are not finite, or beyond {MAX_NUMBER:g}")
     return out
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tomthumb.errors import BrokenFile
-from tomthumb.scenarios.reading import MAX_BYTES, read_bytes
+from tomthumb.scenarios.reading import MAX_BYTES, MAX_NUMBER, read_bytes, sane
 from tomthumb.types import Array
 
 MATRIX, COMPRESSED = 14, 15
@@ -154,8 +154,8 @@ def matrix(source: Mapping[str, Any], name: str, path: object, shape: tuple[int 
         value = value.ravel(order="F")
     if value.ndim != len(shape) or any(want not in (None, have) for have, want in zip(value.shape, shape, strict=True)):
         raise BrokenFile(path, f"{name} has shape {value.shape} where {_shape(shape)} is expected")
-    if not np.isfinite(value).all():
-        raise BrokenFile(path, f"{name} holds values that are not finite")
+    if not sane(value).all():
+        raise BrokenFile(path, f"{name} holds values that are not finite, or beyond {MAX_NUMBER:g}")
     return value
 
 

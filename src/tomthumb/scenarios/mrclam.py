@@ -21,7 +21,7 @@ ROBOTS = 5
 STD = (0.15, math.radians(1.2))
 # The controls are commands, not measurements: dead reckoning is off by up to 1.1 m after a minute. As noise of each
 # command of 0.012 s these stds give about that.
-CONTROL_STD = (0.2, 0.3)
+CONTROL_STD = (0.1, 0.15)
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
@@ -101,8 +101,8 @@ def _read(folder: Path, name: str, columns: int) -> Array:
 def _landmarks(folder: Path) -> tuple[Array, dict[int, int]]:
     """The landmarks (n, 2) and, for each barcode of one, its row."""
     tubes = _read(folder, "Landmark_Groundtruth", 5)
-    subjects = {int(s): row for row, s in enumerate(tubes[:, 0])}
-    pairs = _read(folder, "Barcodes", 2).astype(np.int64)
+    subjects = {int(s): row for row, s in enumerate(whole(tubes[:, 0], folder, "a subject in Landmark_Groundtruth"))}
+    pairs = whole(_read(folder, "Barcodes", 2), folder, "a number in Barcodes")
     return tubes[:, 1:3], {int(code): subjects[int(s)] for s, code in pairs if int(s) in subjects}
 
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from tomthumb.errors import BrokenFile
 from tomthumb.geometry import wrap
-from tomthumb.types import Array, Step
+from tomthumb.types import Array, Mask, Step
 
 MAX_BYTES = 128 << 20  # of one file, unpacked: no known landmark log comes near it
 MAX_ROWS = 5_000_000
 MAX_VALUES = 20_000_000
+MAX_NUMBER = 1e30  # larger than any length, time or information in SI units; products of such numbers stay finite
 CHUNK = 1 << 20
 BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error, zipfile.BadZipFile, NotImplementedError, RuntimeError)
 
@@ -99,10 +100,15 @@ def numbers(data: bytes, path: object) -> Array:
         if len(values) > MAX_VALUES:
             raise BrokenFile(path, f"more than {MAX_VALUES} numbers")
     out = np.frombuffer(values, float).copy() if values else np.empty(0)
-    bad = np.flatnonzero(~np.isfinite(out))
+    bad = np.flatnonzero(~sane(out))
     if len(bad):
-        raise BrokenFile(path, f"number {bad[0] + 1} is not finite")
+        raise BrokenFile(path, f"number {bad[0] + 1} is not finite, or beyond {MAX_NUMBER:g}")
     return out
+
+
+def sane(values: Array) -> Mask:
+    """Which values are finite and not beyond MAX_NUMBER."""
+    return np.asarray(np.abs(values) <= MAX_NUMBER)
 
 
 def _pieces(data: bytes) -> Iterator[bytes]:
@@ -150,8 +156,8 @@ def floats(parts: Iterable[str], path: object, number: int) -> list[float]:
         row = [float(part) for part in parts]
     except ValueError as error:
         raise BrokenFile(path, _short(error), number) from None
-    if not np.isfinite(row).all():
-        raise BrokenFile(path, "a value is not finite", number)
+    if not all(abs(value) <= MAX_NUMBER for value in row):
+        raise BrokenFile(path, f"a value is not finite, or beyond {MAX_NUMBER:g}", number)
     return row
 
 
@@ -212,7 +218,8 @@ def pose_at(t: Array, times: Array, poses: Array, longest_gap: float) -> Array:
     delta[:, 2] = wrap(delta[:, 2])
     out: Array = a + share * delta
     out[:, 2] = wrap(out[:, 2])
-    out[(t < times[0]) | (t > times[-1]) | (gap > longest_gap)] = np.nan
+    between = (share[:, 0] > 0) & (share[:, 0] < 1)
+    out[(t < times[0]) | (t > times[-1]) | (between & (gap > longest_gap))] = np.nan
     return out
 
 

@@ -67,9 +67,10 @@ def victoria_park(path: Path, *, detections: Literal["published", "raw"] = "publ
     for name, times in (("DRS.txt", odometry[:, 0]), ("GPS.txt", gps[:, 0])):
         increasing(times, f"{archive}/{name}", first_line=1)
     landmarks, row = _landmarks(folder)
-    seen = _published(folder, row)
+    seen = _published(folder, row) if detections == "published" or row else None
     if detections == "raw":
         seen = _raw(archive, seen)
+    assert seen is not None
     if not len(odometry) or not len(seen.scans.t):
         raise BrokenFile(folder, "holds no odometry or no scans")
     truth = _truth(folder, seen.scans.t)
@@ -118,7 +119,8 @@ def _published(folder: Path, row: dict[int, int]) -> Seen:
         t, z, diameter = rows[:, 1], rows[:, 2:4].copy(), rows[:, 4]
         ids = np.array([row.get(int(k), -2) for k in whole(rows[:, 5], file, "ref_id")], np.int64)
     else:
-        file, ids = folder / "features" / "measurements.dat.gz", None
+        named = [folder / "features" / f"measurements.dat{suffix}" for suffix in (".gz", "")]
+        file, ids = next((f for f in named if f.exists()), named[0]), None
         rows = table(read_bytes(file), file, 4)
         t, z, diameter = rows[:, 0], rows[:, 1:3].copy(), rows[:, 3]
     increasing(t, file)
@@ -127,7 +129,7 @@ def _published(folder: Path, row: dict[int, int]) -> Seen:
     return Seen(group(t), z, R, ids, diameter)
 
 
-def _raw(archive: Path, published: Seen) -> Seen:
+def _raw(archive: Path, published: Seen | None) -> Seen:
     """Our own detections in LASER.txt, with the labels of the published ones at the same place and time."""
     from tomthumb.detectors import trunks
 
@@ -141,7 +143,9 @@ def _raw(archive: Path, published: Seen) -> Seen:
     z = np.concatenate([np.empty((0, 2)), *(d.z for d in found)])
     scans = stack(laser[:, 0], [len(d.z) for d in found])
     R = np.tile(np.diag(np.square(STD)), (len(z), 1, 1))
-    ids = None if published.ids is None else _labels(scans, z, published, published.ids)
+    ids = None
+    if published is not None and published.ids is not None:
+        ids = _labels(scans, z, published, published.ids)
     return Seen(scans, z, R, ids, np.concatenate([np.empty(0), *(d.diameter for d in found)]))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, permitted, rigid, window
 from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
@@ -107,8 +107,13 @@ class TomThumb:
         reach = np.sqrt(2.0 * np.maximum(gain, 1.0) * np.linalg.eigvalsh(spread)[:, 1])
         cell = float(reach.max())
         grid = flights.fill_grid(s.p, cell)
-        Xi_inverse = np.linalg.inv(s.Xi)
-        apart = np.array([2.0 * np.sqrt(np.trace(noise.mean(0))), 2.0 * np.sqrt(np.trace(noise.mean(0))) / max(np.abs(s.q).max(), 1e-9)])
+        Xi_inverse: Array = np.asarray(np.linalg.inv(s.Xi), np.float64)
+        apart = np.array(
+            [
+                2.0 * np.sqrt(np.trace(noise.mean(0))),
+                2.0 * np.sqrt(np.trace(noise.mean(0))) / max(np.abs(s.q).max(), 1e-9),
+            ]
+        )
         limit = chdtri(3, 1.0 - self.gates[1])
         poses, scores, tried, used = flights.explore(
             s.q, packed, gain, pairs, tolerance, near.start, near.columns, s.p, s.odds - top,
@@ -121,15 +126,18 @@ class TomThumb:
     def _basin(self, s: Rigid, pose: Array, cell: float, grid: Any, Xi_inverse: Array) -> Basin:
         gate2 = float(chdtri(2, 1.0 - self.gates[1]))
         reach = np.sqrt(gate2 * np.linalg.eigvalsh(s.R + 3.0 * s.D.mean(0))[:, 1])
-        start, columns = flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid)
+        near = permitted(*flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid), s.allowed)
+        start, columns = near.start, near.columns
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
         gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
-        return Basin(match, value, gains, Window(start, columns), at, M)
+        return Basin(match, value, gains, near, at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
-    def _within(self, problem: AssociationProblem, near: Window, base: Array, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
+    def _within(
+        self, problem: AssociationProblem, near: Window, base: Array, rng: Rng
+    ) -> tuple[list[Basin], dict[str, Any]]:
         """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
         nu, R = problem.innovation, problem.R
         C = np.ascontiguousarray(problem.predictions.cov)
@@ -158,7 +166,9 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(self, found: list[Basin], n: int, info: dict[str, Any], scene: Rigid | None, rng: Rng) -> Sequence[Association]:
+    def _decided(
+        self, found: list[Basin], n: int, info: dict[str, Any], scene: Rigid | None, rng: Rng
+    ) -> Sequence[Association]:
         found = distinct(found, self.reach)
         best = found[0]
         info = {**info, "objective": best.value, "basins": len(found)}
@@ -198,8 +208,14 @@ def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, A
 def most_possible(near: Window, base: Array, R: Array) -> Array:
     """Upper bound (m,) of what each observation can add to L: the best base gain at a perfect fit, S no less than R."""
     perfect = -0.5 * np.log(np.linalg.det(R)) - posterior.LOG_2PI
-    best = np.array([base[i, near.columns[a:b]].max() if b > a else 0.0 for i, (a, b) in enumerate(zip(near.start, near.start[1:], strict=False))])
-    return np.maximum(best + perfect, 0.0)
+    best = np.array(
+        [
+            base[i, near.columns[a:b]].max() if b > a else 0.0
+            for i, (a, b) in enumerate(zip(near.start, near.start[1:], strict=False))
+        ]
+    )
+    most: Array = np.maximum(best + perfect, 0.0)
+    return most
 
 
 def _reordered(near: Window, order: Ids) -> Window:
@@ -234,15 +250,18 @@ def mixed_marginals(found: list[Basin], weights: Array, n: int) -> tuple[Array, 
     return p, none
 
 
-def sampled_marginals(found: list[Basin], s: Rigid, n: int, samples: int, gate2: float, rng: Rng) -> tuple[Array, Array]:
+def sampled_marginals(
+    found: list[Basin], s: Rigid, n: int, samples: int, gate2: float, rng: Rng
+) -> tuple[Array, Array]:
     """The same with the pose integrated out by importance sampling: given the pose, the pairings are independent.
 
     Poses are drawn from a mixture of the basins' Gaussians, widened by half; each is weighed by its prior times the sum
     over all assignments (Bethe), divided by the mixture's density (deterministic mixture weights).
     """
     Xi_inverse = np.linalg.inv(s.Xi)
-    factors = [1.5 * np.linalg.cholesky(np.linalg.inv(b.M)) for b in found]
-    centres = [b.pose for b in found]
+    known = [(b.pose, b.M) for b in found if b.pose is not None and b.M is not None]
+    centres = [pose for pose, _ in known]
+    factors: list[Array] = [1.5 * np.linalg.cholesky(np.linalg.inv(M)) for _, M in known]
     m, p, none = len(s.q), np.zeros((len(s.q), n)), np.zeros(len(s.q))
     parts, logs = [], []
     still = np.zeros((3, 3))

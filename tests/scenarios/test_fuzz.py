@@ -1,0 +1,134 @@
+"""Damaged files: whatever is in them, a loader gives a scenario or a TomThumbError. The long run is in benchmarks."""
+
+import gzip
+import importlib.util
+import lzma
+import sys
+import tempfile
+import time
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tomthumb.errors import BrokenFile, TomThumbError
+from tomthumb.scenarios import load
+from tomthumb.scenarios.reading import MAX_BYTES, numbers, read_bytes, read_member, table
+
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_loaders.py"
+spec = importlib.util.spec_from_file_location("fuzz_loaders", BENCHMARK)
+fuzz = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = fuzz
+spec.loader.exec_module(fuzz)
+OWN = fuzz.targets(None)
+LOGS = ("slsjf", "golden", "lost_in_the_woods", "car_park", "victoria_park")
+
+
+def survive(target, seed):
+    with tempfile.TemporaryDirectory() as folder:
+        fuzz.attempt(target, Path(folder), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", OWN)
+@settings(max_examples=500, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_damaged_files(name, seed):
+    if name == "track_yaml":
+        pytest.importorskip("yaml", reason="needs the extra: cones")
+    survive(OWN[name], seed)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", LOGS)
+@settings(max_examples=500, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_damaged_logs(name, data_dir, seed):
+    survive(logs(data_dir)[name], seed)
+
+
+def logs(folder, kept={}):  # noqa: B006 - built once
+    if not kept:
+        kept |= fuzz.targets(folder)
+    return kept
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_the_undamaged_files_are_read(name, tmp_path):
+    if name == "track_yaml":
+        pytest.importorskip("yaml", reason="needs the extra: cones")
+    write(OWN[name], tmp_path)
+    assert len(load(OWN[name].spec.format(tmp_path)).steps) > 0
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", LOGS)
+def test_the_undamaged_logs_are_read(name, data_dir, tmp_path):
+    write(logs(data_dir)[name], tmp_path)
+    assert len(load(logs(data_dir)[name].spec.format(tmp_path)).steps) > 0
+
+
+def write(target, folder):
+    for name, data in target.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+
+
+@given(st.binary(max_size=300))
+@settings(deadline=None)
+def test_numbers_and_tables_of_anything(data):
+    for read in (numbers, lambda d, p: table(d, p, 2)):
+        try:
+            out = read(data, "file")
+        except BrokenFile:
+            continue
+        assert np.isfinite(out).all()
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
+def test_a_bomb_is_refused_in_bounded_memory(tmp_path, pack):
+    (tmp_path / "a.jsonl").write_bytes(pack(b"0" * (3 * MAX_BYTES)))
+    (tmp_path / "b.g2o").write_bytes((tmp_path / "a.jsonl").read_bytes())
+    tracemalloc.start()
+    start = time.monotonic()
+    with pytest.raises(BrokenFile, match="MiB"):
+        load(str(tmp_path / "a.jsonl"))
+    with pytest.raises(BrokenFile, match="MiB"):
+        load(str(tmp_path / "b.g2o"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * MAX_BYTES
+    assert time.monotonic() - start < 120
+
+
+def test_zip_bombs_and_paths_that_lead_astray(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("bomb", b"0" * (MAX_BYTES + 1))
+        archive.writestr("../../evil", b"1 2 3")
+    with pytest.raises(BrokenFile, match="MiB"):
+        read_member(tmp_path / "a.zip", "bomb")
+    assert read_member(tmp_path / "a.zip", "../../evil") == b"1 2 3"  # in memory; nothing is written anywhere
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zip"]
+    with pytest.raises(BrokenFile, match="holds no other"):
+        read_member(tmp_path / "a.zip", "other")
+
+
+def test_a_folder_a_missing_file_and_a_cut_archive_are_named(tmp_path):
+    (tmp_path / "a.gz").write_bytes(gzip.compress(b"1 2 3" * 1000)[:-20])
+    for path, words in ((tmp_path, "is a folder"), (tmp_path / "b", "no such file"), (tmp_path / "a.gz", "cannot be")):
+        with pytest.raises(BrokenFile, match=words):
+            read_bytes(path)
+
+
+def test_a_matlab_file_that_unfolds_is_refused(tmp_path):
+    import struct
+    import zlib
+
+    packed = zlib.compress(b"\0" * (MAX_BYTES + 100), 9)
+    head = b" " * 124 + b"\x00\x01IM"
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    with pytest.raises(TomThumbError, match="MiB when unpacked"):
+        load(f"golden:{tmp_path}/a.mat")
