@@ -142,14 +142,14 @@ def save(figure: Any, path: Path) -> None:
 
 
 def show_speed() -> None:
-    """Family moves a second on one core, whole tales with learning and trail; memory of the largest."""
+    """Family moves a second of one core's time, whole tales with learning and trail; memory of the largest."""
     tell(plant(np.random.default_rng(0), 16), np.random.default_rng(0))  # compile outside the clock
     print("| forest | moves | moves a second | peak memory |\n|---|---|---|---|")
     for size, tales, most in ((64, 40, 10**8), (256, 10, 10**8), (1024, 1, 10**7), (4096, 1, 10**7)):
         forests = [plant(np.random.default_rng(s), size) for s in range(tales)]
-        start = time.perf_counter()
+        start = time.process_time()
         moves = sum(tell(f, np.random.default_rng(s), Rules(max_moves=most)).moves for s, f in enumerate(forests))
-        rate = moves / (time.perf_counter() - start)
+        rate = moves / (time.process_time() - start)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(f"| {size} x {size} | {moves} | {rate / 1e6:.2f} million | {peak:.2f} GiB |")
 

@@ -4,7 +4,8 @@
 
 "full": the map is worked on as a whole (`local=0`), every step passes over all of P. "tour": the robot circles among
 nearby landmarks and moves on to the next place from time to time, regions on; amortised, with the costs of entering
-and leaving them. "usual" is the filter with the usual error, the others have the invariant one. The machine's limit stands beside: one pass over the lower triangle of P, read and written.
+and leaving them. "usual" is the filter with the usual error, the others have the invariant one. The machine's limit
+stands beside: one pass over the lower triangle of P, read and written.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def grown(n: int, make, rng):
         local = geometry.to_frame(place.pose, points[ids])
         z = np.column_stack([np.hypot(*local.T), np.arctan2(local[:, 1], local[:, 0])])
         R = np.tile(np.diag([0.05, 0.05 / np.hypot(side, side)]) ** 2, (len(ids), 1, 1))
-        belief = ekf.promote(ekf.add(belief, Observations(z, R), [ids], rng), ids)
+        every = [ids] * getattr(ekf, "particles", 1)
+        belief = ekf.promote(ekf.add(belief, Observations(z, R), every, rng), ids)
     return place, ekf, belief
 
 

@@ -16,7 +16,7 @@ class UnknownName(TomThumbError):
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
         known = sorted(valid)
         close = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = f"; did you mean {close[0]!r}?" if close else "."
         super().__init__(f"unknown {kind} {name!r}{hint} Valid: {', '.join(known) or 'none'}")
 
 

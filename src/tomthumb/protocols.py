@@ -111,6 +111,10 @@ class Estimator(Protocol[Belief]):
         """New landmarks, as crumbs, where the observations (m) point; ids -1 are passed over."""
         ...
 
+    def place(self, belief: Belief, ids: Ids, landmarks: Array, covs: Array) -> Belief:
+        """Known landmarks, as stones: world points (n, 2) with covariances (n, 2, 2), independent of the pose."""
+        ...
+
     def promote(self, belief: Belief, ids: Ids) -> Belief:
         """Crumbs become stones: from now on they move the pose."""
         ...

@@ -25,6 +25,12 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "gnn": "tomthumb.associators.nearest:GlobalNearestNeighbour",
         "jcbb": "tomthumb.associators.jcbb:JointCompatibility",
         "stt": "tomthumb.associators.tom_thumb:TomThumb",
+        "map": "tomthumb.associators.maximum:MaximumPosterior",
+        "ipjc": "tomthumb.associators.ipjc:PosteriorCompatibility",
+        "singles": "tomthumb.associators.singles:Singles",
+        "scnn": "tomthumb.associators.sequential:SequentialNearestNeighbour",
+        "rjc": "tomthumb.associators.randomized:RandomizedCompatibility",
+        "clique": "tomthumb.associators.clique:PairwiseConsistency",
     },
     "estimator": {
         "ekf": "tomthumb.estimators.ekf:EKF",

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tomthumb.branches import Branch
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.lifecycle import LifeCycle
-from tomthumb.slam import Branch, Slam
+from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
 
 Settings = Mapping[str, Mapping[str, Any]]
@@ -29,7 +30,7 @@ def run(
     """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
 
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
-    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`), which
+    "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`); it
     goes on growing unless ``slam.frozen``. Raises `TomThumbError`.
     """
     slam = prepare(
@@ -66,7 +67,7 @@ def prepare(
     slam = Slam(
         scenario.motion, scenario.sensor, scenario.prior, built,
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
-        policy=policy, width=width or getattr(built, "width", 1), teacher=teacher, teach_steps=scenario.teach_steps,
+        policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
     )  # fmt: skip
     if start_map is not None:
@@ -78,8 +79,8 @@ def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool,
     from tomthumb.known_map import start_in
 
     if oracle or scenario.teach_steps:
-        raise TomThumbError("the oracle knows landmarks by their first observation: it cannot name those of a saved map")
-    start_in(slam, start_map, scenario.prior, frozen)
+        raise TomThumbError("the oracle knows landmarks by their first observation, not those of a saved map")
+    start_in(slam, start_map, frozen)
 
 
 def _oracle(truth: Ids | None) -> Any:
@@ -153,7 +154,9 @@ def _events(branch: Branch) -> tuple[Ids, Ids]:
 
 def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
     """Ids and poses of the best branch's own past, which may differ from what was given out at the time."""
-    ids, poses, node = [], [], branch.history
+    ids: list[Ids] = []
+    poses: list[Array] = []
+    node = branch.history
     while node is not None and len(poses) < steps:
         node, step_ids, pose = node
         ids.append(step_ids)

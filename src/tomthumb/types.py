@@ -40,7 +40,8 @@ class Control:
 class Observations:
     """One scan: `z (m, 2)` with covariances `R (m, 2, 2)`, in the sensor's units (m, rad).
 
-    `labels (m,)` is a class of each (-1 unknown), `signature (m,)` a measured property (a diameter in m, say; NaN unknown).
+    `labels (m,)` is a class of each (-1 unknown), `signature (m,)` a measured property (a diameter in m, say; NaN
+    unknown).
     """
 
     z: Array
@@ -188,7 +189,7 @@ class AssociationProblem:
         """Squared Mahalanobis distances (m, n); infinite where the labels exclude the pairing."""
         from tomthumb.kernels.gates import mahalanobis
 
-        d2 = mahalanobis(self.innovation, self.blocks, self.R)
+        d2: Array = mahalanobis(self.innovation, self.blocks, self.R)
         if self.allowed is not None:
             d2[~self.allowed] = np.inf
         return d2
@@ -231,7 +232,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class StepRecord:
-    """What one step gave out. `ids (m,)`: the landmark of each observation, its own serial if it founded one, -1 if none.
+    """What one step gave out. `ids (m,)`: the landmark of each observation, its own serial if it founded one, else -1.
 
     `paired (m,)` is True where the landmark was known before. `nis` and its `dof` cover the pairings with stones.
     """

@@ -22,7 +22,8 @@ from pathlib import Path
 from bench_fakes import RUNNER, grid
 from tomthumb.bench import Where, bench
 if __name__ == "__main__":
-    bench(grid(sys.argv[2], seeds=int(sys.argv[3]), limits={"attempts": 2}), Path(sys.argv[1]), Where(2, "local", RUNNER))
+    chosen = grid(sys.argv[2], seeds=int(sys.argv[3]), limits={"attempts": 2})
+    bench(chosen, Path(sys.argv[1]), Where(2, "local", RUNNER))
 """
 
 
@@ -30,7 +31,7 @@ def drive(out: Path, deed: str, seeds: int) -> None:
     """A process of its own: Dask leaves threads and sockets behind that the tests' strictness about warnings would
     hit.
     """
-    script = out.with_suffix(".py")
+    script = out.parent / "drive.py"
     script.write_text(DRIVE)
     path = ":".join([*sys.path, str(Path(__file__).parent)])
     command = [sys.executable, str(script), str(out), deed, str(seeds)]

@@ -64,6 +64,7 @@ def test_every_combination_once_and_worlds_together() -> None:
         ({"claim": [{"text": "x", "method": "nn"}]}, "exactly one of"),
         ({"claim": [{"text": "x", "method": "stt", "at_least": 1.0}]}, "unknown method of a claim 'stt'"),
         ({"report": {"pages": -1}}, "report.pages"),
+        ({"report": {"page": 1}}, "unknown key of .report. 'page'; did you mean 'pages'"),
         ({"scenario": {"use": "./nowhere"}}, "no such file or folder"),
         ({"scenario": {"use": "$NO_SUCH_VARIABLE/log"}}, "NO_SUCH_VARIABLE is not set"),
     ],

@@ -64,6 +64,15 @@ def test_out_writes_everything_and_plot_draws_it_again(tomthumb, tmp_path):
     assert (tmp_path / "more" / "trail.png").is_file()
 
 
+def test_a_saved_map_can_be_started_in(tomthumb, tmp_path):
+    tomthumb("run", "cloister", "-a", "jcbb", "-o", tmp_path / "one", "--json")
+    for saved, sets in ((tmp_path / "one", ()), (tmp_path / "one" / "map.csv", ("--set", "slam.frozen=true"))):
+        row = tomthumb("run", "cloister", "-a", "jcbb", "-s", 5, "--map", saved, "--json", *sets).json
+        assert row["wrong_ids"] == 0
+        assert row["match_rate"] > 0.98
+        assert row["landmarks"] == 88
+
+
 def test_list_names_parts_and_their_parameters(tomthumb):
     found = tomthumb("list", "--json").json
     assert {"oracle", "nn", "gnn", "jcbb", "stt"} <= {entry["name"] for entry in found["associators"]}

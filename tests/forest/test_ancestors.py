@@ -23,6 +23,7 @@ def test_samples_are_neither_made_nor_lost(kind: str) -> None:
         assert colony.marks.min() >= 0
 
 
+@pytest.mark.slow
 def test_every_kind_beats_the_brownian_walker() -> None:
     mean = {kind: np.mean([brought(kind, seed) for seed in range(5)]) for kind in KINDS}
     assert min(v for k, v in mean.items() if k != "brownian") > mean["brownian"]
@@ -37,7 +38,7 @@ def test_regulated_robots_never_run_out_nor_overflow(seed: int) -> None:
     for colony in foraging(world, "regulated", np.random.default_rng(seed), 800, robots):
         assert colony.carried.min() >= 0
         assert colony.carried.max() <= budget
-        assert colony.carried.sum() + colony.marks.sum() == robots * budget
+        assert colony.carried.sum() + colony.marks.sum() == robots * (budget // 2)
         assert colony.set_point.min() >= 1.0
         assert colony.set_point.max() <= budget
 
@@ -52,7 +53,7 @@ def test_regulated_trail_grows_while_the_source_pays_and_decays_after() -> None:
     paying, after = np.array(marks[found:dry]), np.array(marks[dry:])
     assert marks[found] == 0
     assert paying[len(paying) // 2 :].mean() > 5
-    assert after[-200:].mean() < 0.7 * paying[len(paying) // 2 :].mean()
+    assert after[-200:].mean() < 0.3 * paying[len(paying) // 2 :].mean()
 
 
 def test_regulation_is_monotone_and_bounded() -> None:

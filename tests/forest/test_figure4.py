@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tomthumb.errors import TomThumbError
 from tomthumb.forest.family import ground_of, trail_strengths
@@ -280,6 +282,39 @@ def test_the_same_seed_tells_the_same_tale() -> None:
         "moves_by_leg": {"outward": 50, "led home": 0, "trail": 16, "walk": 49, "boots": 14},
         "distance_by_leg": {"outward": 113, "led home": 0, "trail": 16, "walk": 88, "boots": 102},
     }  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    lam=st.floats(1.05, 2.95),
+    mountains=st.floats(0.0, 0.3),
+    birds=st.floats(0.0, 1.0),
+    outward=st.integers(1, 40),
+    boundary=st.sampled_from(["torus", "reflect", "clip"]),
+    directions=st.sampled_from(["eight", "four", "angle", "entrywise"]),
+    lengths=st.sampled_from(["power", "pareto", "mantegna"]),
+    sense=st.sampled_from(["flight", "walk"]),
+    stones=st.sampled_from(["first", "always", "never"]),
+)
+def test_whatever_the_rules_the_tale_keeps_its_word(seed: int, mountains: float, **rules: object) -> None:
+    forest = plant(np.random.default_rng(seed), 16, mountains)
+    before = forest.cells.copy()
+    moves = 0
+    for event in simulated_tom_thumb(forest, np.random.default_rng(seed), Rules(max_moves=3000, **rules)):  # type: ignore[arg-type]
+        moves += event.moves
+        cells = forest.cells[event.path[:, 0], event.path[:, 1]]
+        assert not (cells == MOUNTAIN).any()
+        assert event.family.place[0] in range(16)
+        assert event.family.place[1] in range(16)
+        assert event.family.wear in (HAT, CROWN)
+        assert event.distance >= 0
+    ground = event.ground
+    assert ground.way.min() >= 0.0
+    assert ground.way.max() <= 1.0
+    assert ground.number.min() >= 0
+    assert moves <= 3000 + 100 * 16  # one iteration may end after the last move counted
+    assert (forest.cells == before).all()
 
 
 def test_text_and_back(forest: Forest) -> None:

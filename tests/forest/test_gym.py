@@ -37,7 +37,7 @@ def test_random_episodes_end_at_home_or_palace_with_their_reward() -> None:
 
 
 def test_same_seed_same_episode() -> None:
-    env = gymnasium.make("tomthumb/Forest-v0")
+    env = gymnasium.make("tomthumb.forest.gym:tomthumb/Forest-v0")
     runs = []
     for _ in range(2):
         first, _ = env.reset(seed=5)

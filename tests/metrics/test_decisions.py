@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from handmade import estimate, trace, truth
 
+from handmade import estimate, trace, truth
 from tomthumb.metrics.decisions import FN, FP, SKIPPED, TN, TP, decide, decide_as_reference, decide_final
+from tomthumb.metrics.lifetimes import Lifetimes
 
 
 def outcomes(run, real):
@@ -99,3 +100,43 @@ def test_the_final_score_may_merge_into_the_younger():
 def test_rates_of_nothing_are_unknown():
     decisions = decide(trace([[0], [0]], estimate([0])), truth([-2, -2], 2))
     assert np.isnan([decisions.match_rate, decisions.precision, decisions.recall]).all()
+
+
+def test_the_first_of_several_in_the_map_at_that_time():
+    lives = Lifetimes(np.array([3, 5, 9]), np.array([7, 7, -1]), np.array([0, 1, 0]), np.array([2, 9, 9]))
+    asked, step = np.array([7, 7, 7, 7, 8, -1]), np.array([0, 1, 2, 3, 3, 3])
+    assert lives.first_known(asked, step).tolist() == [-1, 3, 3, 5, -1, -1]
+
+
+def random_run(rng, steps, each):
+    """Ids given out at random among the landmarks alive, some of which die: scans, births and deaths by id."""
+    scans, birth, end, alive = [], {}, {}, []
+    for k in range(steps):
+        scan = []
+        for s in range(k * each, (k + 1) * each):
+            chance = rng.random()
+            scan.append(s if chance < 0.05 or not alive else -1 if chance < 0.2 else int(rng.choice(alive)))
+        new = [i for i in scan if i >= k * each]
+        gone = [i for i in alive if rng.random() < 0.02]
+        birth |= dict.fromkeys(new, k)
+        end |= dict.fromkeys(gone, k)
+        alive = [i for i in alive + new if i not in gone]
+        scans.append(scan)
+    return scans, birth, end, alive
+
+
+def test_many_observations_are_scored_as_the_rule_says_one_by_one():
+    steps, each = 200, 8
+    rng = np.random.default_rng(8)
+    labels = rng.integers(-1, 12, steps * each)
+    scans, birth, end, alive = random_run(rng, steps, each)
+    run = trace(scans, estimate(alive), died=list(end.items()))
+    outcome = decide(run, truth(labels, steps)).outcome
+    for s in range(each, steps * each):
+        k, real = s // each, labels[s]
+        if run.paired[s]:
+            expected = TP if real >= 0 and labels[run.ids[s]] == real else FP
+        else:
+            known = any(labels[i] == real and birth[i] < k <= end.get(i, steps) for i in birth)
+            expected = FN if real >= 0 and known else TN
+        assert outcome[s] == expected, s

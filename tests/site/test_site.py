@@ -109,11 +109,13 @@ def test_first_mistake_is_the_first(out: Path) -> None:
 
 def test_worst_and_middle_of_every_cell_are_drawn_first() -> None:
     rows = [
-        {"scenario": s, "method": m, "status": "done", "match_rate": rate, "ate_m": 0.1, "failure": None}
+        {"scenario": s, "method": m, "status": "done", "match_rate": rate, "ate_m": 0.1, "failure": None, "seed": 0}
         for s in "ab" for m in "xy" for rate in (0.9, 0.5, 0.7, 0.8, 1.0)
     ]  # fmt: skip
     assert choose(rows, 8) == [1, 3, 6, 8, 11, 13, 16, 18]
     assert choose(rows, 3) == [1, 6, 11]
+    numbered = [{**row, "seed": i % 5} for i, row in enumerate(rows)]
+    assert choose(numbered, 6, show=4) == [1, 4, 6, 9, 14, 19]
     assert len(choose(rows, 100)) == 20
     assert choose([{**row, "status": "error"} for row in rows], 5) == []
 

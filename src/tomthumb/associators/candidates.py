@@ -25,6 +25,10 @@ def gated(d2: Array, gate2: float, *, nearest_first: bool = True, fewest_first: 
     order = np.argsort(counts, kind="stable") if fewest_first else np.arange(len(d2))
     start = np.concatenate([[0], np.cumsum(counts[order])]).astype(np.int64)
     ranked = np.where(inside, d2, np.inf)[order]
-    columns = np.argsort(ranked, axis=1, kind="stable") if nearest_first else np.argsort(~inside[order], axis=1, kind="stable")
+    columns = (
+        np.argsort(ranked, axis=1, kind="stable")
+        if nearest_first
+        else np.argsort(~inside[order], axis=1, kind="stable")
+    )
     taken = np.arange(d2.shape[1])[None] < counts[order][:, None]
     return Candidates(order.astype(np.int64), start, columns[taken].astype(np.int64))

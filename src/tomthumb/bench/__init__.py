@@ -10,7 +10,7 @@ rows = read_rows(Path("out"))
 from __future__ import annotations
 
 from tomthumb.bench.grid import Claim, Grid, Limits, from_options, read_grid
-from tomthumb.bench.rows import lasting, read_rows, write_rows
+from tomthumb.bench.rows import kept, lasting, read_rows, write_rows
 from tomthumb.bench.session import Tally, Where, bench, dry_run, merge
 from tomthumb.bench.spec import Part, RunSpec
 
@@ -25,6 +25,7 @@ __all__ = [
     "bench",
     "dry_run",
     "from_options",
+    "kept",
     "lasting",
     "merge",
     "read_grid",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class Verdict:
     against: str
     measure: Measure
     comparison: Comparison
+    differences: Array
     needed: int | None = None
 
     def sentence(self) -> str:
@@ -129,16 +130,20 @@ def _verdict(scenario: str, method: str, base: str, m: Measure, mine: Group, the
     a = values((mine[seed] for seed in seeds), m.key)
     b = values((theirs[seed] for seed in seeds), m.key)
     found = compare(a, b, np.random.default_rng(0), larger_is_better=bool(m.larger), level=level)
-    differences = (a - b)[np.isfinite(a - b)]
-    return Verdict(scenario, method, base, m, found, seeds_needed(pilot(differences), level=level))
+    return Verdict(scenario, method, base, m, found, (a - b)[np.isfinite(a - b)])
 
 
 def together(verdicts: Sequence[Verdict]) -> list[Verdict]:
     """The same verdicts with Holm's correction over all of them."""
     judged = correct([v.comparison for v in verdicts])
-    return [
-        Verdict(v.scenario, v.method, v.against, v.measure, c, v.needed) for v, c in zip(verdicts, judged, strict=True)
-    ]
+    family = sum(c.verdict != SAME for c in judged)
+    return [replace(v, comparison=c, needed=_needed(v, family)) for v, c in zip(verdicts, judged, strict=True)]
+
+
+def _needed(verdict: Verdict, family: int) -> int | None:
+    """Seeds that would tell with 80 % power, also as the hardest to tell of so many comparisons."""
+    level = verdict.comparison.level / max(1, family)
+    return seeds_needed(pilot(verdict.differences), level=level)
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,8 +58,8 @@ class Grid:
     """All axes with their choices. A method is an estimator with an associator and a life cycle.
 
     `baseline` is the label of a method, or of an associator: then each method is compared with the one that differs
-    from it in the associator only. `pages`: how many runs the report
-    draws. `text` is the file it was read from, `source` all that it takes to make it again.
+    from it in the associator only. `pages`: how many runs the report draws; every method's run of the seed `show` comes
+    first. `text` is the file it was read from, `source` all that it takes to make it again.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Grid:
     limits: Limits = UNBOUNDED
     claims: tuple[Claim, ...] = ()
     pages: int = 60
+    show: int | None = None
     description: str = ""
     text: str = ""
     source: str = ""
@@ -148,7 +149,7 @@ def from_table(table: Mapping[str, Any], home: Path, text: str = "") -> Grid:
         level=_level(table.get("level", 0.05)),
         limits=_limits(table.get("limits", {})),
         claims=tuple(_claim(one) for one in table.get("claim", ())),
-        pages=_pages(table.get("report", {})),
+        **_report(table.get("report", {})),
         description=str(table.get("description", "")),
         text=text,
         source=json.dumps({"table": table, "home": str(home.resolve()), "text": text}),
@@ -302,14 +303,14 @@ def _level(level: Any) -> float:
     return level
 
 
-def _pages(table: Mapping[str, Any]) -> int:
-    for key in table:
-        if key != "pages":
-            raise UnknownName("key of [report]", key, ["pages"])
-    pages = table.get("pages", 60)
-    if isinstance(pages, bool) or not isinstance(pages, int) or pages < 0:
-        raise TomThumbError(f"report.pages = {pages!r}: a whole number, 0 or more")
-    return pages
+def _report(table: Mapping[str, Any]) -> dict[str, int]:
+    """`pages` and `show` of [report]."""
+    for key, value in table.items():
+        if key not in ("pages", "show"):
+            raise UnknownName("key of [report]", key, ["pages", "show"])
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise TomThumbError(f"report.{key} = {value!r}: a whole number, 0 or more")
+    return dict(table)
 
 
 def _one_of(what: str, label: str | None, valid: Sequence[str]) -> None:

@@ -60,6 +60,12 @@ def lasting(rows: Sequence[Mapping[str, Any]]) -> Rows:
     return [{key: value for key, value in row.items() if not is_time_or_place(key)} for row in rows]
 
 
+def kept(rows: Sequence[Mapping[str, Any]]) -> Rows:
+    """What a later comparison needs and nothing of the machine: labels, configuration, seed, status and measures."""
+    wanted = [key for key in (*FIRST, "case", "failure", *MEASURES) if not is_time_or_place(key)]
+    return [{key: row[key] for key in wanted if key in row} for row in rows]
+
+
 def _write_csv(path: Path, rows: Rows) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns(rows), restval=None, lineterminator="\n")

@@ -32,13 +32,14 @@ def bench(
     retry: Annotated[bool, typer.Option("--retry", help="Try failed runs again.")] = False,
     against: Annotated[Path | None, typer.Option(help="ROWS of another day: say what changed; 1 if worse.")] = None,
     export: Annotated[list[Path] | None, typer.Option(help="Write rows to FILE.csv or FILE.parquet.")] = None,
+    keep: Annotated[Path | None, typer.Option(help="Write rows for a later --against: no times, no machine.")] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Run a grid: every combination of scenarios, estimators, associators, parameters and seeds.
 
     Rows are safe in OUT/journal.sqlite as soon as their run ends; call again to continue.
     """
-    from tomthumb.bench import Where, read_rows, write_rows
+    from tomthumb.bench import Where, kept, read_rows, write_rows
     from tomthumb.bench.session import cores, parse_shard
 
     chosen = _grid(grid, scenario, estimator, associator, set_, seeds)
@@ -53,6 +54,8 @@ def bench(
     rows = _rows(folder, part)
     for path in export or ([folder / "rows.csv"] if part is None else []):
         write_rows(path, rows)
+    if keep is not None:
+        write_rows(keep, kept(rows))
     watch = _watch(chosen, rows, then) if then is not None else None
     _report(chosen, rows, watch, said, json)
     if watch is not None and watch.worse:
@@ -118,13 +121,18 @@ def _run(
         progress.TimeRemainingColumn(),
         progress.TextColumn("{task.fields[failed]} failed"),
     )
-    with progress.Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task(grid.name, total=None, failed=0)
+    bar = progress.Progress(*columns, console=Console(stderr=True), disable=quiet)
+    task = bar.add_task(grid.name, total=None, failed=0)
 
-        def show(rows: int, planned: int, failed: int) -> None:
-            bar.update(task, completed=rows, total=planned, failed=failed)
+    def show(rows: int, planned: int, failed: int) -> None:
+        bar.start()  # first called when the grid is found to hold together
+        bar.update(task, completed=rows, total=planned, failed=failed)
 
+    try:
         tally = bench(grid, folder, where, shard=part, retry=retry, progress=show)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
     return _told(tally, where, folder)
 
 

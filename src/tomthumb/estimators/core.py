@@ -193,12 +193,21 @@ class Core:
         make_room(b, len(rows))
         points, G_pose, G_z = self.sensor.locate(b.pose, seen.z[rows])
         noise = G_z @ seen.R[rows] @ G_z.transpose(0, 2, 1)
-        dim, end = b.dim, b.dim + 2 * len(rows)
+        self._append(b, points, G_pose, noise)
+        attach(b, ids[rows].tolist(), False)
+
+    def place(self, b: Gaussian, ids: Ids, landmarks: Array, covs: Array) -> None:
+        """Known landmarks, as stones that owe nothing to the pose."""
+        make_room(b, len(ids))
+        self._append(b, landmarks, np.zeros((len(ids), 2, 3)), covs)
+        attach(b, ids.tolist(), True)
+
+    def _append(self, b: Gaussian, points: Array, G_pose: Array, noise: Array) -> None:
+        dim, end = b.dim, b.dim + 2 * len(points)
         b.x[dim:end] = points.ravel()
         storage.append(b.P, dim, G_pose, noise)
         if b.transfer is not None:
             b.transfer.T[dim:end] = G_pose.reshape(-1, 3) @ b.transfer.T[:3]
-        attach(b, ids[rows].tolist(), False)
 
     def unite(self, b: Gaussian, keep: int, drop: int) -> None:
         """The constraint that two stones are one; a crumb tells nothing. `drop` is still there afterwards."""

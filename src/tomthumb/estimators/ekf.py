@@ -106,6 +106,11 @@ class EKF:
         self.core.add(belief.active, observations, ids[0])
         return belief
 
+    def place(self, belief: Atlas, ids: Ids, landmarks: Array, covs: Array) -> Atlas:
+        """See `protocols.Estimator`."""
+        self.core.place(belief.active, ids, landmarks, covs)
+        return belief
+
     def promote(self, belief: Atlas, ids: Ids) -> Atlas:
         """See `protocols.Estimator`."""
         for i in ids.tolist():

@@ -27,6 +27,7 @@ from tomthumb.errors import Diverged, TomThumbError
 from tomthumb.estimators import pages
 from tomthumb.estimators.pages import Pages
 from tomthumb.kernels import fastslam as kernel
+from tomthumb.kernels import particles
 from tomthumb.protocols import Motion, Rng, Sensor
 from tomthumb.types import Array, Control, Estimate, Ids, Mask, Observations, Predictions
 
@@ -113,7 +114,7 @@ class FastSLAM:
         """See `protocols.Estimator`. Resamples first, where the last scan made it necessary."""
         self._resample(belief, rng)
         delta, cov = self.motion.increment(control)
-        kernel.move(belief.pose, belief.cov, np.asarray(delta, float), np.asarray(cov, float))
+        particles.move(belief.pose, belief.cov, np.asarray(delta, float), np.asarray(cov, float))
         if self.version == 1:
             self._draw(belief, np.zeros_like(belief.pose), _in_body(belief), rng)
         belief.view = None
@@ -147,7 +148,8 @@ class FastSLAM:
         reach = self.sensor.max_range + float(np.hypot(*self.sensor.frame(ORIGIN)[:2]))
         spread = 5.0 * float(np.sqrt(np.trace(b.cov[:, :2, :2], axis1=1, axis2=2).max()))
         slots = kernel.near(b.pose, m.box, m.live, min(reach + spread, 1e9))
-        points, cov, there = kernel.to_body(b.pose, slots, m.table, m.mean, m.cov, m.has)
+        every = np.broadcast_to(slots, (len(b.pose), len(slots)))
+        points, cov, there = kernel.to_body(b.pose, every, m.table, m.mean, m.cov, m.has)
         z_hat, H = _expect(self.sensor, points)
         C, Hx = kernel.own_covariances(b.pose, b.cov, points, cov, H)
         var = C.reshape(-1, 2, 2)[:, [0, 1], [0, 1]]
@@ -198,7 +200,9 @@ class FastSLAM:
         slots = slots.reshape(len(b.pose), len(z))
         firm = (slots >= 0) & m.stone[slots] if len(m.stone) else slots >= 0
         if self.negative:
-            b.log_weight += self._missed(self._look(b), slots, firm, m)
+            v = self._look(b)
+            detect = min(self.sensor.detect, 0.999)
+            b.log_weight += particles.missed(v.slots, v.chance, v.there, m.stone, slots, firm, detect)
         shift, cov = self._propose(b, z, R, slots, firm)
         b.log_weight += ((~firm) @ np.log(self.density * self.sensor.scale(z))) if len(z) else 0.0
         self._draw(b, shift, cov, rng)
@@ -207,14 +211,6 @@ class FastSLAM:
         if not (np.isfinite(b.log_weight).any() and np.isfinite(b.pose).all()):
             raise Diverged("no particle explains the observations")
         return b
-
-    def _missed(self, v: View, slots: Ids, firm: Mask, m: Pages) -> Array:
-        """Log-probability (M,) of which stones in view were seen and which not."""
-        seen = ((v.slots[None, :, None] == slots[:, None, :]) & firm[:, None, :]).any(2)
-        chance = np.clip(v.chance * min(self.sensor.detect, 0.999), 1e-6, 0.999)
-        score = np.where(seen, np.log(chance), np.log1p(-chance)) * (v.there & m.stone[v.slots])
-        total: Array = score.sum(1)
-        return total
 
     def _propose(self, b: Particles, z: Array, R: Array, slots: Ids, firm: Mask) -> tuple[Array, Array]:
         """Each pose's Gaussian after the scan, in its own frame; weights and statistics are brought up to date."""
@@ -225,10 +221,9 @@ class FastSLAM:
             return shift, cov
         points, spread = _of_each(b.pose, slots, b.maps)
         for _ in range(self.iterations if b.cov.any() else 1):
-            moved, turned = _after(shift, points, spread)
+            moved, turned = particles.after(shift, points, spread)
             z_hat, H = _expect(self.sensor, moved)
-            Hx = _by_motion(H, moved, shift)
-            noise = H @ turned @ H.transpose(0, 1, 3, 2)
+            Hx, noise = particles.by_motion(H, moved, turned, shift)
             total, nis, shift, cov = kernel.propose_all(
                 z, R, firm, z_hat, Hx, noise, shift, b.pose, b.cov, self._wrapped()
             )  # fmt: skip
@@ -243,7 +238,7 @@ class FastSLAM:
         z_hat, H = _expect(self.sensor, points)
         pages.reserve(b.maps, pages.columns_of(slots))
         kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, self._wrapped(), *pages.arrays(b.maps))
-        kernel.boxes(np.unique(slots[slots >= 0]), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
+        kernel.boxes(_distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
 
     def _wrapped(self) -> Any:
         return np.array([k in self.sensor.angles for k in range(2)])
@@ -269,6 +264,17 @@ class FastSLAM:
         kernel.boxes(slots, m.table, m.mean, m.has, m.box)
         b.view = None
         return b
+
+    def place(self, belief: Particles, ids: Ids, landmarks: Array, covs: Array) -> Particles:
+        """See `protocols.Estimator`."""
+        m = belief.maps
+        slots = np.array(pages.open_slots(m, ids.tolist()), np.int64)
+        every = np.tile(slots, (len(belief.pose), 1))
+        pages.reserve(m, pages.columns_of(every))
+        kernel.found(np.zeros_like(belief.pose), every, landmarks, covs, *pages.arrays(m))
+        kernel.boxes(slots, m.table, m.mean, m.has, m.box)
+        belief.view = None
+        return self.promote(belief, ids)
 
     def promote(self, belief: Particles, ids: Ids) -> Particles:
         """See `protocols.Estimator`."""
@@ -352,28 +358,13 @@ def _expect(sensor: Sensor, points: Array) -> tuple[Array, Array]:
 
 def _of_each(pose: Array, slots: Ids, m: Pages) -> tuple[Array, Array]:
     """Landmarks `slots` (M, m; -1 gives a stand-in) in each robot's frame: points, covariances (M, m, 2, 2)."""
-    some = np.unique(slots[slots >= 0])
-    points, spread, _ = kernel.to_body(pose, some, m.table, m.mean, m.cov, m.has)
-    column = np.minimum(np.searchsorted(some, np.maximum(slots, 0)), len(some) - 1)
-    each = np.arange(len(pose))[:, None]
-    return points[each, column], spread[each, column]
+    points, spread, _ = kernel.to_body(pose, slots, m.table, m.mean, m.cov, m.has)
+    return points, spread
 
 
-def _after(shift: Array, points: Array, spread: Array) -> tuple[Array, Array]:
-    """Points and covariances seen from robots moved by `shift` (M, 3) in their own frames."""
-    c, s = np.cos(shift[:, 2]), np.sin(shift[:, 2])
-    B = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -2)
-    moved = np.einsum("pij,pkj->pki", B, points - shift[:, None, :2])
-    turned = B[:, None] @ spread @ B[:, None].transpose(0, 1, 3, 2)
-    return moved, turned
-
-
-def _by_motion(H: Array, moved: Array, shift: Array) -> Array:
-    """Derivative (M, m, 2, 3) by the motion in the frame before the shift: db = -B de - J b da."""
-    c, s = np.cos(shift[:, 2]), np.sin(shift[:, 2])
-    by_motion = np.zeros((*moved.shape, 3))
-    by_motion[:, :, 0, 0] = by_motion[:, :, 1, 1] = -c[:, None]
-    by_motion[:, :, 0, 1], by_motion[:, :, 1, 0] = -s[:, None], s[:, None]
-    by_motion[:, :, 0, 2], by_motion[:, :, 1, 2] = moved[:, :, 1], -moved[:, :, 0]
-    Hx: Array = H @ by_motion
-    return Hx
+def _distinct(slots: Ids) -> Ids:
+    """The slots that occur, each once."""
+    flat = slots[slots >= 0]
+    seen = np.zeros(int(flat.max()) + 1, bool)
+    seen[flat] = True
+    return np.flatnonzero(seen)

@@ -74,7 +74,7 @@ def reserve(m: Pages, columns: int) -> None:
 
 def columns_of(slots: Ids) -> int:
     """How many columns a set of slots (-1 none) touches."""
-    return len(np.unique(slots[slots >= 0] // SIZE))
+    return len(set((slots[slots >= 0] // SIZE).tolist()))
 
 
 def open_slots(m: Pages, ids: list[int]) -> list[int]:

@@ -32,7 +32,8 @@ class Regulation:
     (thriftier), by `rate` of the way.
 
     Attributes:
-        budget: crumbs of a robot, N0; carried + on the ground is conserved.
+        budget: most crumbs a robot can carry, N0. It begins with half, so that there is room to gather what others
+            laid; all that is carried and on the ground is conserved.
         rate: of the second loop, in [0, 1].
     """
 
@@ -134,7 +135,7 @@ def foraging(
     colony = Colony(
         place=np.tile(np.array(world.home), (robots, 1)),
         loaded=np.zeros(robots, np.bool_),
-        carried=np.full(robots, budget, np.int64),
+        carried=np.full(robots, budget // 2, np.int64),
         set_point=np.ones(robots),
         goal=np.full((robots, 2), -1, np.int64),
         marks=np.zeros((world.size, world.size), np.int64),

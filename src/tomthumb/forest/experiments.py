@@ -61,9 +61,9 @@ def _tale(forest: Forest, seed: int, rules: Rules) -> Outcome:
 
 
 def moves_home(seed: int, rules: Rules, size: int = 48, laps: int = 1) -> float:
-    """Moves from where the parents flee until HOME is seen, in the pass after `laps` with stones; no ogre, no king.
+    """Moves from where the parents flee until HOME is seen, in the pass after `laps` others; no ogre, no king.
 
-    What the laps cost is not counted: with fewer `max_iterations` the same seed tells the same beginning.
+    What the first passes cost is not counted.
     """
     forest = plant(np.random.default_rng([seed, 0]), size, ogres=0, palaces=0)
     told = simulated_tom_thumb(forest, np.random.default_rng([seed, 1]), replace(rules, max_iterations=laps + 1))

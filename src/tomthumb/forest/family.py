@@ -83,7 +83,7 @@ class Ground:
 
 
 def ground_of(forest: Forest, rules: Rules) -> Ground:
-    """Untrodden ground. 41 bytes a cell at most; pages never trodden cost nothing."""
+    """Untrodden ground. 45 bytes a cell at most; pages never trodden cost nothing."""
     kinds = max(1, int(forest.features.max(initial=0)))
     return Ground(
         cells=forest.cells.copy(),

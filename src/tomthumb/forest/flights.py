@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -55,12 +56,15 @@ def lengths_of(rules: Rules, shape: tuple[int, int], alpha: float) -> Lengths:
     l_max = longest(rules, shape)
     if rules.lengths == "mantegna":
         return _mantegna(rules.lam, l_max, alpha)
-    law = (
-        pareto_law(rules.lam, l_max, alpha)
-        if rules.lengths == "pareto"
-        else scaled_law(power_law(rules.lam, l_max), alpha)
-    )
-    return law.draw
+    return _table(rules.lengths, rules.lam, l_max, alpha).draw
+
+
+@lru_cache(maxsize=64)
+def _table(lengths: str, lam: float, l_max: int, alpha: float) -> LengthLaw:
+    """Laws never change, and short tales would spend their time on building them."""
+    if lengths == "pareto":
+        return pareto_law(lam, l_max, alpha)
+    return scaled_law(power_law(lam, l_max), alpha)
 
 
 def displacements(rng: np.random.Generator, lengths: Lengths, directions: str, size: int) -> Ids:

@@ -3,9 +3,10 @@
 An episode begins where the parents have fled (step 14) and ends when HOME is seen, or, with crowns on, the palace.
 
     import gymnasium
-    import tomthumb.forest.gym
 
-    env = gymnasium.make("tomthumb/Forest-v0", size=24)
+    env = gymnasium.make("tomthumb.forest.gym:tomthumb/Forest-v0", size=24)
+
+The name alone serves once this module has been imported (Gymnasium 1.0 finds no environments by itself).
 """
 
 from __future__ import annotations

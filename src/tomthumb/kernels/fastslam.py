@@ -20,21 +20,6 @@ SIZE = 16  # landmarks on a page
 
 
 @jit
-def move(pose: Array, cov: Array, delta: Array, Q: Array) -> None:
-    """Every pose composed with `delta`, its covariance carried along; Q (3, 3) in the robot's frame."""
-    F, G = np.eye(3), np.eye(3)
-    for p in range(pose.shape[0]):
-        c, s = math.cos(pose[p, 2]), math.sin(pose[p, 2])
-        dx, dy = c * delta[0] - s * delta[1], s * delta[0] + c * delta[1]
-        F[0, 2], F[1, 2] = -dy, dx
-        G[0, 0], G[0, 1], G[1, 0], G[1, 1] = c, -s, s, c
-        cov[p] = F @ cov[p] @ F.T + G @ Q @ G.T
-        pose[p, 0] += dx
-        pose[p, 1] += dy
-        pose[p, 2] = (pose[p, 2] + delta[2] + math.pi) % (2.0 * math.pi) - math.pi
-
-
-@jit
 def near(pose: Array, box: Array, live: Array, reach: float) -> Array:
     """Slots whose box (x0, y0, x1, y1) over all particles comes within `reach` of the box of all poses."""
     x0, y0, x1, y1 = pose[:, 0].min(), pose[:, 1].min(), pose[:, 0].max(), pose[:, 1].max()
@@ -50,13 +35,15 @@ def near(pose: Array, box: Array, live: Array, reach: float) -> Array:
 
 @jit
 def to_body(pose: Array, slots: Array, table: Array, mean: Array, cov: Array, has: Array) -> tuple[Array, Array, Array]:
-    """Points (M, c, 2) and covariances (M, c, 2, 2) of the landmarks in each robot's frame, and which exist (M, c)."""
-    M, c = pose.shape[0], slots.shape[0]
+    """Landmarks `slots` (M, c) in the robots' frames: points (M, c, 2), covariances, which exist (M, c)."""
+    M, c = slots.shape
     points, spread, there = np.ones((M, c, 2)), np.zeros((M, c, 2, 2)), np.zeros((M, c), np.bool_)
     for p in range(M):
         co, si = math.cos(pose[p, 2]), math.sin(pose[p, 2])
         for k in range(c):
-            page, at = table[p, slots[k] // SIZE], slots[k] % SIZE
+            if slots[p, k] < 0:
+                continue
+            page, at = table[p, slots[p, k] // SIZE], slots[p, k] % SIZE
             if page < 0 or not has[page, at]:
                 continue
             there[p, k] = True
@@ -147,6 +134,12 @@ def name(z: Array, R: Array, z_hat: Array, C: Array, there: Array, wrapped: Arra
 
 
 @jit
+def _wrap(value: float, angle: bool) -> float:
+    """An angle brought to [-pi, pi), anything else as it is."""
+    return (value + math.pi) % (2.0 * math.pi) - math.pi if angle else value
+
+
+@jit
 def propose(
     z: Array, R: Array, use: Array, z_hat: Array, Hx: Array, noise: Array, shift: Array, S: Array, wrapped: Array
 ) -> tuple[float, float, Array, Array]:
@@ -155,28 +148,36 @@ def propose(
     z_hat (m, 2) and Hx (m, 2, 3) are at the prior moved by `shift`; noise (m, 2, 2) what the landmark adds to R; S the
     prior covariance; all in the robot's prior frame.
     """
-    mean, cov = np.zeros(3), S.copy()
+    mean, cov, PH = np.zeros(3), S.copy(), np.empty((3, 2))
     total, nis = 0.0, 0.0
-    nu, K = np.empty(2), np.empty((3, 2))
     for i in range(z.shape[0]):
         if not use[i]:
             continue
-        nu[:] = z[i] - z_hat[i]
-        for u in range(2):
-            if wrapped[u]:
-                nu[u] = (nu[u] + math.pi) % (2.0 * math.pi) - math.pi
-        nu -= Hx[i] @ (mean - shift)
-        PH = cov @ Hx[i].T
-        V = Hx[i] @ PH + noise[i] + R[i]
-        det = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
-        inverse = np.array([[V[1, 1], -V[0, 1]], [-V[1, 0], V[0, 0]]]) / det
-        d2 = nu @ inverse @ nu
+        a, d, b = noise[i, 0, 0] + R[i, 0, 0], noise[i, 1, 1] + R[i, 1, 1], noise[i, 0, 1] + R[i, 0, 1]
+        u, v = _wrap(z[i, 0] - z_hat[i, 0], wrapped[0]), _wrap(z[i, 1] - z_hat[i, 1], wrapped[1])
+        for r in range(3):
+            PH[r, 0] = cov[r, 0] * Hx[i, 0, 0] + cov[r, 1] * Hx[i, 0, 1] + cov[r, 2] * Hx[i, 0, 2]
+            PH[r, 1] = cov[r, 0] * Hx[i, 1, 0] + cov[r, 1] * Hx[i, 1, 1] + cov[r, 2] * Hx[i, 1, 2]
+        for r in range(3):
+            a += Hx[i, 0, r] * PH[r, 0]
+            b += Hx[i, 0, r] * PH[r, 1]
+            d += Hx[i, 1, r] * PH[r, 1]
+            u -= Hx[i, 0, r] * (mean[r] - shift[r])
+            v -= Hx[i, 1, r] * (mean[r] - shift[r])
+        det = a * d - b * b
+        p, q = (d * u - b * v) / det, (a * v - b * u) / det
+        d2 = u * p + v * q
         total -= 0.5 * (d2 + math.log(det)) + math.log(2.0 * math.pi)
         nis += d2
-        K[:] = PH @ inverse
-        mean += K @ nu
-        cov -= K @ V @ K.T
-    return total, nis, mean, 0.5 * (cov + cov.T)
+        for r in range(3):
+            mean[r] += PH[r, 0] * p + PH[r, 1] * q
+            k, l = (PH[r, 0] * d - PH[r, 1] * b) / det, (PH[r, 1] * a - PH[r, 0] * b) / det
+            for c in range(r + 1):
+                cov[r, c] -= k * PH[c, 0] + l * PH[c, 1]
+        for r in range(3):
+            for c in range(r):
+                cov[c, r] = cov[r, c]
+    return total, nis, mean, cov
 
 
 @jit
@@ -239,21 +240,25 @@ def absorb(
     table: Array, mean: Array, cov: Array, has: Array, uses: Array, free: Array,
 ) -> None:  # fmt: skip
     """Each particle's landmarks `slots` (M, m; -1 none) updated by its observations, its pose being known."""
-    nu = np.empty(2)
+    b, P, PH = np.empty(2), np.empty((2, 2)), np.empty((2, 2))
     for p in range(pose.shape[0]):
         c, s = math.cos(pose[p, 2]), math.sin(pose[p, 2])
         for i in range(z.shape[0]):
             if slots[p, i] < 0:
                 continue
-            nu[:] = z[i] - z_hat[p, i]
-            for u in range(2):
-                if wrapped[u]:
-                    nu[u] = (nu[u] + math.pi) % (2.0 * math.pi) - math.pi
-            PH = spread[p, i] @ H[p, i].T
-            V = H[p, i] @ PH + R[i]
-            det = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
-            K = PH @ (np.array([[V[1, 1], -V[0, 1]], [-V[1, 0], V[0, 0]]]) / det)
-            b, P = points[p, i] + K @ nu, spread[p, i] - K @ V @ K.T
+            u, v = _wrap(z[i, 0] - z_hat[p, i, 0], wrapped[0]), _wrap(z[i, 1] - z_hat[p, i, 1], wrapped[1])
+            for r in range(2):
+                for k in range(2):
+                    PH[r, k] = spread[p, i, r, 0] * H[p, i, k, 0] + spread[p, i, r, 1] * H[p, i, k, 1]
+            e = H[p, i, 0, 0] * PH[0, 0] + H[p, i, 0, 1] * PH[1, 0] + R[i, 0, 0]
+            f = H[p, i, 0, 0] * PH[0, 1] + H[p, i, 0, 1] * PH[1, 1] + R[i, 0, 1]
+            g = H[p, i, 1, 0] * PH[0, 1] + H[p, i, 1, 1] * PH[1, 1] + R[i, 1, 1]
+            det = e * g - f * f
+            for r in range(2):
+                k, l = (PH[r, 0] * g - PH[r, 1] * f) / det, (PH[r, 1] * e - PH[r, 0] * f) / det
+                b[r] = points[p, i, r] + k * u + l * v
+                for q in range(2):
+                    P[r, q] = spread[p, i, r, q] - k * PH[q, 0] - l * PH[q, 1]
             page, at = _own_page(p, slots[p, i] // SIZE, table, mean, cov, has, uses, free), slots[p, i] % SIZE
             _write(mean, cov, page, at, pose[p], c, s, b, P)
 

@@ -44,7 +44,16 @@ def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
 
 @jit
 def best_near(
-    x: float, y: float, W: Array, points: Array, worth: Array, cell: float, low: Array, shape: Array, start: Array, index: Array
+    x: float,
+    y: float,
+    W: Array,
+    points: Array,
+    worth: Array,
+    cell: float,
+    low: Array,
+    shape: Array,
+    start: Array,
+    index: Array,
 ) -> float:
     """max over the points in the 3 x 3 window around (x, y) of worth_j - d2 / 2, d2 by the inverse covariance W (3,)."""
     cx, cy = math.floor((x - low[0]) / cell), math.floor((y - low[1]) / cell)
@@ -148,14 +157,21 @@ def explore(
 
 @jit
 def _quadratic(M: Array, x: float, y: float, t: float) -> float:
-    return (
-        M[0, 0] * x * x + M[1, 1] * y * y + M[2, 2] * t * t + 2.0 * (M[0, 1] * x * y + M[0, 2] * x * t + M[1, 2] * y * t)
-    )
+    squares = M[0, 0] * x * x + M[1, 1] * y * y + M[2, 2] * t * t
+    return float(squares + 2.0 * (M[0, 1] * x * y + M[0, 2] * x * t + M[1, 2] * y * t))
 
 
 @jit
 def _settle(
-    poses: Array, scores: Array, support: Array, touched: Array, x: float, y: float, t: float, score: float, apart: Array
+    poses: Array,
+    scores: Array,
+    support: Array,
+    touched: Array,
+    x: float,
+    y: float,
+    t: float,
+    score: float,
+    apart: Array,
 ) -> None:
     """Put a pose into the list of basins, best first; a basin keeps the best of its poses."""
     size = scores.shape[0]
@@ -175,10 +191,9 @@ def _settle(
         return
     if k == size - 1 and not touched[k]:
         support[k] = 0
-    flag = touched[k] if scores[k] > -np.inf else False
     votes = support[k] if scores[k] > -np.inf else 0
     if k == size - 1 and scores[k] > -np.inf and not touched[k]:
-        flag, votes = False, 0
+        votes = 0
     while k > 0 and scores[k - 1] < score:
         poses[k], scores[k], support[k], touched[k] = poses[k - 1], scores[k - 1], support[k - 1], touched[k - 1]
         k -= 1
@@ -188,7 +203,15 @@ def _settle(
 
 @jit
 def local_candidates(
-    pose: Array, q: Array, reach: Array, points: Array, cell: float, low: Array, shape: Array, cells: Array, index: Array
+    pose: Array,
+    q: Array,
+    reach: Array,
+    points: Array,
+    cell: float,
+    low: Array,
+    shape: Array,
+    cells: Array,
+    index: Array,
 ) -> tuple[Array, Array]:
     """Points within reach (m,) of where each observation falls under `pose`, as (start, columns)."""
     m = q.shape[0]
@@ -237,7 +260,7 @@ def refine(
     m, n = q.shape[0], points.shape[0]
     at, match, M = pose.copy(), np.full(m, -1, np.int64), prior_inverse.copy()
     spread = np.zeros((3, 3))  # the first round trusts the pose, later ones know its covariance
-    for step in range(rounds):
+    for _round in range(rounds):
         match = _assign(at, spread, q, R, points, D, base, odds, start, columns, gate2, n)
         for _ in range(2):
             M, g = _normal(at, q, R, points, D, match, prior_inverse)
@@ -316,7 +339,9 @@ def _lever(gx: float, gy: float, P: Array) -> Array:
 
 
 @jit
-def _normal(at: Array, q: Array, R: Array, points: Array, D: Array, match: Array, prior_inverse: Array) -> tuple[Array, Array]:
+def _normal(
+    at: Array, q: Array, R: Array, points: Array, D: Array, match: Array, prior_inverse: Array
+) -> tuple[Array, Array]:
     """Gauss-Newton's matrix and right side at the pose, prior at zero motion."""
     M, g = prior_inverse.copy(), -prior_inverse @ at
     for i in range(q.shape[0]):

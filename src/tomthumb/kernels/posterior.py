@@ -261,24 +261,30 @@ def left_out_gains(match: Array, nu: Array, C: Array, R: Array, base: Array, sta
                 for t in range(2):
                     S[2 * a + s, 2 * b + t] = C[2 * ja + s, 2 * jb + t]
         S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += R[rows[a]]
-    Q = np.linalg.inv(S) if k > 0 else S
+    Q = np.ascontiguousarray(np.linalg.inv(S)) if k > 0 else S
     gains = np.empty(columns.shape[0])
     own = np.empty((2, 2 * k))
     for i in range(m):
-        Qi = Q
+        Qi = np.ascontiguousarray(Q)
         if match[i] >= 0:
             at = 2 * np.searchsorted(rows, i)
             block = np.linalg.inv(np.ascontiguousarray(Q[at : at + 2, at : at + 2]))
-            Qi = Q - np.ascontiguousarray(Q[:, at : at + 2]) @ block @ np.ascontiguousarray(Q[at : at + 2, :])
+            Qi = np.ascontiguousarray(
+                Q - np.ascontiguousarray(Q[:, at : at + 2]) @ block @ np.ascontiguousarray(Q[at : at + 2, :])
+            )
         for c in range(start[i], start[i + 1]):
             j = columns[c]
             for b in range(k):
                 jb = match[rows[b]]
                 for s in range(2):
                     own[s, 2 * b], own[s, 2 * b + 1] = C[2 * j + s, 2 * jb], C[2 * j + s, 2 * jb + 1]
-            W = own @ Qi
+            W = own @ np.ascontiguousarray(Qi)
             u0, u1 = nu[i, j, 0], nu[i, j, 1]
-            a, b01, d = C[2 * j, 2 * j] + R[i, 0, 0], C[2 * j, 2 * j + 1] + R[i, 0, 1], C[2 * j + 1, 2 * j + 1] + R[i, 1, 1]
+            a, b01, d = (
+                C[2 * j, 2 * j] + R[i, 0, 0],
+                C[2 * j, 2 * j + 1] + R[i, 0, 1],
+                C[2 * j + 1, 2 * j + 1] + R[i, 1, 1],
+            )
             for q in range(2 * k):
                 u0 -= W[0, q] * v[q]
                 u1 -= W[1, q] * v[q]
@@ -350,7 +356,6 @@ def ruin(
     r is the flight's length (heavy tail); boots: after `patience` flights in vain, r grows by one (stagnation). A better
     hypothesis becomes the place to start from. Returns it, its L, and the flights made.
     """
-    m = match.shape[0]
     best, best_value, vain, boots = match.copy(), value, 0, 0
     for flight in range(lengths.shape[0]):
         rows = np.flatnonzero(best >= 0)
@@ -384,7 +389,7 @@ def _alternative(i: int, best: Array, trial: Array, start: Array, columns: Array
     """Another candidate from the window of observation i, not taken in `trial`; -1 when there is none."""
     count = start[i + 1] - start[i]
     for k in range(count):
-        j = columns[start[i] + (int(u * count) + k) % count]
+        j = int(columns[start[i] + (int(u * count) + k) % count])
         if j != best[i] and not np.any(trial == j):
             return j
     return -1

@@ -69,7 +69,6 @@ def decide_as_reference(trace: Trace, truth: TruthTable) -> Decisions:
     step = step_of_observation(trace.offsets)
     scored = _scored(truth, step)
     first = lives.first_known(truth.ids, step)
-    first[truth.ids < 0] = -1
     outcome = np.full(len(truth.ids), SKIPPED, np.int8)
     outcome[scored & trace.paired] = FP
     outcome[scored & trace.paired & (truth.ids >= 0) & (first == trace.ids)] = TP

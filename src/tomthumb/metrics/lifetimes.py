@@ -34,17 +34,19 @@ class Lifetimes:
         return found
 
     def first_known(self, identity: Ids, step: Ids) -> Ids:
-        """The landmark born first among those of `identity (q,)` that are in the map at `step (q,)`, or -1."""
-        order = np.lexsort((self.ids, self.birth, self.identity))
-        sorted_identity = self.identity[order]
-        low = np.searchsorted(sorted_identity, identity, "left")
-        high = np.searchsorted(sorted_identity, identity, "right")
+        """The landmark born first among those of `identity (q,)` that are in the map at `step (q,)`, or -1.
+
+        Clutter is nobody: negative identities are not looked for.
+        """
         first = np.full(len(identity), -1, np.int64)
-        for row in np.flatnonzero(high > low):
-            rows = order[low[row] : high[row]]
-            alive = (self.birth[rows] < step[row]) & (step[row] <= self.end[rows])
-            if alive.any():
-                first[row] = self.ids[rows[int(np.argmax(alive))]]
+        order = np.argsort(identity, kind="stable")
+        ranked = identity[order]
+        latest_first = np.lexsort((self.ids, self.birth))[::-1]
+        for row in latest_first[self.identity[latest_first] >= 0]:
+            low, high = np.searchsorted(ranked, [self.identity[row], self.identity[row] + 1])
+            asked = order[low:high]
+            alive = (self.birth[row] < step[asked]) & (step[asked] <= self.end[row])
+            first[asked[alive]] = self.ids[row]  # an earlier one, which comes later here, takes its place
         return first
 
 

@@ -93,7 +93,10 @@ class Ackermann:
         delta, by_arc = arc(distance, turn)
         dtan = 1.0 + tan * tan
         dk = k * k * dtan * self.encoder_offset / self.wheel_base
-        by_u = np.array([[k, speed * dk], [k * tan / self.wheel_base, speed * (dk * tan + k * dtan) / self.wheel_base]]) * dt
+        by_u = (
+            np.array([[k, speed * dk], [k * tan / self.wheel_base, speed * (dk * tan + k * dtan) / self.wheel_base]])
+            * dt
+        )
         delta, by_arc = self._at_point(delta, by_arc)
         J = by_arc @ by_u
         noise = np.diag(np.square(self.std)) if control.cov is None else control.cov

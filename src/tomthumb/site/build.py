@@ -48,8 +48,9 @@ def build(
     try:
         for folder in (site, site / "figures", site / "rows", site / "runs"):
             folder.mkdir(parents=True, exist_ok=True)
-        drawn = _draw_runs(site, rows, grid, grid.pages if pages is None else pages, workers, tell)
-        _write_data(site, rows, grid, drawn)
+        chosen = choose(rows, grid.pages if pages is None else pages, grid.show)
+        _draw_runs(site, rows, grid, chosen, workers, tell)
+        _write_data(site, rows, grid, chosen)
         figures = _draw_figures(site, charts(rows, grid), tell)
         tell("tables")
         body = _body(rows, planned, sessions, grid, figures, _downloads(site, rows, grid))
@@ -71,6 +72,7 @@ def _body(
         html.section("Claims", tables.claims_table(rows, grid)),
         html.section("Means, with 95 % bootstrap intervals by run", tables.summary_table(rows, grid)),
         html.section("Better or worse", html.paragraph(baseline), tables.comparison_table(rows, grid)),
+        html.section(f"Seed {grid.show}, method by method", tables.shown_table(rows, grid.show)),
         html.section("Figures", f'<div class="figures">{figures}</div>' if figures else ""),
         html.section("Failed runs", tables.failures_table(rows)),
         html.section("All runs", html.asset("runs.html")),
@@ -79,11 +81,12 @@ def _body(
     ])  # fmt: skip
 
 
-def _draw_runs(site: Path, rows: Rows, grid: Grid, count: int, workers: int, tell: Callable[[str], None]) -> set[int]:
-    """Write the pictures of the chosen runs; which they are."""
+def _draw_runs(
+    site: Path, rows: Rows, grid: Grid, chosen: Sequence[int], workers: int, tell: Callable[[str], None]
+) -> None:
+    """Write the pictures of the chosen runs."""
     for old in (site / "runs").glob("*.js"):
         old.unlink()
-    chosen = choose(rows, count)
     done = 0
 
     def told(more: int) -> None:
@@ -93,7 +96,6 @@ def _draw_runs(site: Path, rows: Rows, grid: Grid, count: int, workers: int, tel
 
     for i, picture in paint(rows, chosen, grid, workers, told).items():
         _write_js(site / "runs" / f"{i}.js", "picture", picture)
-    return set(chosen)
 
 
 def _draw_figures(site: Path, found: Sequence[Chart], tell: Callable[[str], None]) -> str:
@@ -104,14 +106,14 @@ def _draw_figures(site: Path, found: Sequence[Chart], tell: Callable[[str], None
     return "\n".join(parts)
 
 
-def _write_data(site: Path, rows: Rows, grid: Grid, drawn: set[int]) -> None:
+def _write_data(site: Path, rows: Rows, grid: Grid, drawn: Sequence[int]) -> None:
     """The list of runs by columns, and every row with all it holds in blocks of a few hundred."""
     keys = [*dict.fromkeys((*grid.measures, "nees", "step_ms_p50", "seconds"))]
     names = ["scenario", "method", "seed", "status", *keys, "failure"]
     columns = {name: [_short(row.get(name)) for row in rows] for name in names}
     heads = {key: {"title": m.title + (f" [{m.unit.strip()}]" if m.unit else ""), "scale": m.scale}
              for key in keys if (m := MEASURES.get(key))}  # fmt: skip
-    table = {"columns": columns, "heads": heads, "drawn": sorted(drawn), "block": BLOCK, "count": len(rows)}
+    table = {"columns": columns, "heads": heads, "drawn": list(drawn), "block": BLOCK, "count": len(rows)}
     _write_js(site / "rows.js", "list", table)
     for first in range(0, len(rows), BLOCK):
         block = [_detail(row) for row in rows[first : first + BLOCK]]

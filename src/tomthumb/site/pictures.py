@@ -34,16 +34,17 @@ def painter(memory_mb: float | None) -> Executor:
     return Executor(memory_mb, measure=lambda scenario, job: {"picture": draw(scenario, job)})
 
 
-def choose(rows: Sequence[Mapping[str, Any]], count: int) -> list[int]:
-    """Rows to draw, at most `count`: of each method in each scenario in turn the worst, the median, the next worst
-    ...
+def choose(rows: Sequence[Mapping[str, Any]], count: int, show: int | None = None) -> list[int]:
+    """Rows to draw, at most `count`: those of seed `show`, then of each method in each scenario the worst, the median,
+    the next worst and so on, in turn.
     """
     cells: dict[tuple[str, str], list[int]] = {}
     for i, row in enumerate(rows):
         if row["status"] == DONE:
             cells.setdefault((row["scenario"], row["method"]), []).append(i)
     queues = [_interesting(rows, members) for members in cells.values()]
-    chosen: list[int] = []
+    chosen = [i for members in cells.values() for i in members if rows[i]["seed"] == show][:count]
+    queues = [[i for i in queue if i not in chosen] for queue in queues]
     while len(chosen) < count and any(queues):
         chosen += [queue.pop(0) for queue in queues if queue]
     return sorted(chosen[:count])

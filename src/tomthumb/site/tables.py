@@ -78,6 +78,16 @@ def _verdict_row(v: Verdict) -> list[Entry]:
     ]  # fmt: skip
 
 
+def shown_table(rows: Sequence[Row], seed: int | None) -> str:
+    """The runs of one world, with links to their pages."""
+    entries = [
+        [Entry(row["scenario"]), Entry(row["method"], link=f"run.html#{i}")]
+        for i, row in enumerate(rows)
+        if row["seed"] == seed
+    ]
+    return html.table(["scenario", "method"], entries, "shown") if entries else ""
+
+
 def failures_table(rows: Sequence[Row]) -> str:
     """Runs without a result, and why."""
     failed = [(i, row) for i, row in enumerate(rows) if row["status"] != DONE]

@@ -2,6 +2,6 @@
 
 from tomthumb.smoothing.g2o import load_g2o, save_g2o
 from tomthumb.smoothing.graph import Graph, graph_of
-from tomthumb.smoothing.solve import Smoothed, solve
+from tomthumb.smoothing.solver import Smoothed, solve
 
 __all__ = ["Graph", "Smoothed", "graph_of", "load_g2o", "save_g2o", "solve"]

@@ -134,10 +134,10 @@ def _named(
 
 
 def _covariance(upper: list[float], size: int, path: object, number: int) -> Array:
-    information = np.zeros((size, size))
-    information[np.triu_indices(size)] = upper
-    information = np.asarray(information + np.triu(information, 1).T, float)
+    half = np.zeros((size, size))
+    half[np.triu_indices(size)] = upper
+    information = half + np.triu(half, 1).T
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         raise BrokenFile(path, "an information matrix is not positive definite", number)
-    cov: Array = np.linalg.inv(information)
+    cov: Array = np.asarray(np.linalg.inv(information), float)
     return cov

@@ -13,7 +13,7 @@ from tomthumb.models.calibration import check, corrected
 from tomthumb.protocols import Motion
 from tomthumb.types import Array, Control, Ids, Scenario, Step, Trace
 
-FLOOR = np.array([1e-4, 1e-4, 1e-5])  # m, m, rad: no reading is trusted beyond this, so that every factor has a weight
+FLOOR = np.array([1e-3, 1e-3, 1e-4])  # m, m, rad: wheels slip; and every factor needs a weight
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,9 @@ class Graph:
 def graph_of(trace: Trace, scenario: Scenario, *, calibration: Mapping[str, float] | None = None) -> Graph:
     """The graph of a finished run, started from its estimates; sightings as the run named them in the end.
 
-    Only stones of the final map are in it. `calibration` gives systematic errors of the odometry, by name, that are
-    taken out of it (`models.calibration`). Raises TomThumbError for a run without a scan or a sensor of another kind.
+    All landmarks that ever were stones are in it, also those forgotten since. `calibration` gives systematic errors of
+    the odometry, by name, that are taken out of it (`models.calibration`). Raises TomThumbError for a run without a
+    scan or a sensor of another kind.
     """
     steps = list(scenario.steps)[: len(trace.t)]
     scans = np.array([k for k, step in enumerate(steps) if step.observations is not None], np.int64)
@@ -68,18 +69,21 @@ def graph_of(trace: Trace, scenario: Scenario, *, calibration: Mapping[str, floa
     prior_cov = _floored(_in_frame(F @ scenario.prior.cov @ F.T + G @ first[1] @ G.T, start[2]))
     moved = [_at_sensor(delta, cov, mount) for delta, cov in between]
     poses = trace.pose if trace.final_pose is None or len(trace.final_pose) != len(trace.t) else trace.final_pose
-    seen = _sightings(trace, steps, scans)
+    at_sensor = np.array([geometry.compose(poses[k], mount) for k in scans])
+    ids = _stones(trace)
+    pairs, z, R = _sightings(trace, steps, scans, ids)
+    polar = tuple(scenario.sensor.angles) == (1,)
     return Graph(
-        poses=np.array([geometry.compose(poses[k], mount) for k in scans]),
-        landmarks=trace.final.landmarks[trace.final.stone],
+        poses=at_sensor,
+        landmarks=_places(trace, ids, pairs, _points(at_sensor, pairs, z, polar)),
         steps=scans,
-        ids=trace.final.ids[trace.final.stone],
+        ids=ids,
         prior=geometry.compose(start, mount),
         prior_cov=_carried(prior_cov, mount),
         edges=np.column_stack([np.arange(len(scans) - 1), np.arange(1, len(scans))]),
         delta=np.array([m[0] for m in moved]).reshape(-1, 3),
         delta_cov=np.array([m[1] for m in moved]).reshape(-1, 3, 3),
-        sightings=seen[0], z=seen[1], R=seen[2], polar=tuple(scenario.sensor.angles) == (1,), mount=mount,
+        sightings=pairs, z=z, R=R, polar=polar, mount=mount,
     )  # fmt: skip
 
 
@@ -143,17 +147,49 @@ def _floored(cov: Array) -> Array:
     return even
 
 
-def _sightings(trace: Trace, steps: list[Step], scans: Ids) -> tuple[Ids, Array, Array]:
-    """(pose, landmark) (M, 2), z (M, 2), R (M, 2, 2) of observations whose landmark is a stone of the final map."""
-    ids = trace.ids if trace.final_ids is None else trace.final_ids
-    place = {int(i): n for n, i in enumerate(trace.final.ids[trace.final.stone])}
+def _names(trace: Trace) -> Ids:
+    """The landmark of every observation, as the run had it in the end."""
+    return trace.ids if trace.final_ids is None else trace.final_ids
+
+
+def _stones(trace: Trace) -> Ids:
+    """Every landmark that is a stone, or was one when it was seen."""
+    ever = np.concatenate([_names(trace)[trace.with_stone], trace.final.ids[trace.final.stone]])
+    stones: Ids = np.unique(ever[ever >= 0])
+    return stones
+
+
+def _sightings(trace: Trace, steps: list[Step], scans: Ids, ids: Ids) -> tuple[Ids, Array, Array]:
+    """(pose, landmark) (M, 2), z (M, 2), R (M, 2, 2) of the observations of the landmarks `ids`."""
+    names = _names(trace)
+    place = {i: n for n, i in enumerate(ids.tolist())}
     rows, z, R = [], [np.empty((0, 2))], [np.empty((0, 2, 2))]
     for pose, k in enumerate(scans.tolist()):
         seen = steps[k].observations
         assert seen is not None
-        mine = [place.get(i, -1) for i in ids[trace.offsets[k] : trace.offsets[k + 1]].tolist()]
+        mine = [place.get(i, -1) for i in names[trace.offsets[k] : trace.offsets[k + 1]].tolist()]
         held = [j for j, n in enumerate(mine) if n >= 0]
         rows += [(pose, mine[j]) for j in held]
         z.append(seen.z[held])
         R.append(seen.R[held])
     return np.array(rows, np.int64).reshape(-1, 2), np.concatenate(z), np.concatenate(R)
+
+
+def _points(poses: Array, pairs: Ids, z: Array, polar: bool) -> Array:
+    """Where each sighting points, (M, 2) m in the world."""
+    x, y = (z[:, 0] * np.cos(z[:, 1]), z[:, 0] * np.sin(z[:, 1])) if polar else z.T
+    seen_from = poses[pairs[:, 0]]
+    c, s = np.cos(seen_from[:, 2]), np.sin(seen_from[:, 2])
+    points: Array = seen_from[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
+    return points
+
+
+def _places(trace: Trace, ids: Ids, pairs: Ids, points: Array) -> Array:
+    """First guess (n, 2) of the landmarks: the final map's, or where sightings of forgotten ones point on average."""
+    known = {int(i): place for i, place in zip(trace.final.ids, trace.final.landmarks, strict=True)}
+    count = np.maximum(np.bincount(pairs[:, 1], minlength=len(ids)), 1)
+    mean = [np.bincount(pairs[:, 1], points[:, k], len(ids)) / count for k in range(2)]
+    guess = np.column_stack(mean)
+    for n, i in enumerate(ids.tolist()):
+        guess[n] = known.get(i, guess[n])
+    return guess

@@ -155,15 +155,22 @@ def learns_from_stones(build: Build) -> None:
 
 
 def is_not_moved_by_crumbs(build: Build) -> None:
-    """Pairings with tentative landmarks teach the landmark only: the pose and its covariance stay."""
+    """Pairings with tentative landmarks teach the landmark only: the pose and its covariance stay.
+
+    Particles may draw their poses in the update; theirs stay within sampling error.
+    """
     bench = Bench.of(build)
     bench.add(IDS)
     bench.move()
     before = bench.estimate()
     bench.see(bench.scan(PRIOR[0]), IDS)  # as if the robot had not moved
     after = bench.estimate()
-    assert np.allclose(after.pose, before.pose, atol=1e-9), f"pose {before.pose} became {after.pose}"
-    assert np.allclose(after.pose_cov, before.pose_cov, atol=1e-12), "the pose's covariance changed"
+    particles = len(bench.estimator.expect(bench.belief))
+    slack = 1e-9 if particles == 1 else 5.0 * np.sqrt(np.diag(before.pose_cov) / particles)
+    assert (np.abs(after.pose - before.pose) <= slack).all(), f"pose {before.pose} became {after.pose}"
+    share = np.diag(after.pose_cov) / np.diag(before.pose_cov)
+    slack = 1e-9 if particles == 1 else 5.0 * np.sqrt(2.0 / particles)
+    assert (np.abs(share - 1.0) <= slack).all(), f"the pose's variances changed by factors {share}"
 
 
 def takes_an_empty_scan(build: Build) -> None:

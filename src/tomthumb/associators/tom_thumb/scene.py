@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.associators.nearest import log_odds
-from tomthumb.types import Array, AssociationProblem, Ids
+from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
 SAMPLE = 16  # predictions on which the common motion is fitted and checked
 REMAINDER = 0.1  # covariance between landmarks left over by the motion, relative to their own and the noise
@@ -34,7 +34,10 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Rigid:
-    """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,)."""
+    """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
+
+    allowed (m, n): pairings whose labels do not contradict each other, or None without labels.
+    """
 
     q: Array
     R: Array
@@ -43,6 +46,7 @@ class Rigid:
     Xi: Array
     base: Array
     odds: Array
+    allowed: Mask | None = None
 
 
 def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
@@ -69,6 +73,16 @@ def window(d2: Array, gate: float) -> Window:
     rows, columns = np.nonzero(inside)
     order = np.lexsort((d2[rows, columns], rows))
     return Window(start, columns[order].astype(np.int64))
+
+
+def permitted(start: Ids, columns: Ids, allowed: Mask | None) -> Window:
+    """The candidates that labels do not exclude."""
+    if allowed is None:
+        return Window(start, columns)
+    rows = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    keep = allowed[rows, columns]
+    counts = np.bincount(rows[keep], minlength=len(start) - 1)
+    return Window(np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), columns[keep])
 
 
 def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:
@@ -100,7 +114,7 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         D = own - B @ Xi @ B.transpose(0, 2, 1)
         if _explained(C, Xi, p[sample], noise) and (np.linalg.eigvalsh(D)[:, 0] > -REMAINDER * noise).all():
             area = np.abs(np.linalg.det(Tq))
-            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds)
+            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds, problem.allowed)
     return None
 
 

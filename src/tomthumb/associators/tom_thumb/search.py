@@ -22,10 +22,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, permitted, rigid, window
 from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
+from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
 
@@ -50,8 +51,11 @@ class TomThumb:
 
     gates: the first chooses the pose basin, the second completes it once two pairs are accepted. nodes: budget of the
     certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
-    budgets. brothers: hypotheses returned at most, `ambiguity` nats: how far behind the best they may be.
-    least: a pairing less probable than this is left unpaired.
+    budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
+    least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
+    (most probable hypothesis). samples: poses drawn in each basin to integrate the pose out, when a decision is not `sure`
+    or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
+    memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
     """
 
     gates: tuple[float, float] = (0.99, 1.0 - 1e-6)
@@ -70,14 +74,16 @@ class TomThumb:
     reach: float = 7.0
     sure: float = 0.98
     hard: float = 1.5
-    parts: dict[str, bool] = field(default_factory=dict)
+    memory: bool = False
+    lessons: LogMemory = field(default_factory=LogMemory, repr=False)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
         m, n = problem.shape
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
-        base, odds = base_gains(problem, None)
+        prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
+        base, odds = base_gains(problem, prior)
         near = window(problem.d2, self.gates[1])
         scene = rigid(problem, base, odds) if self._is_hard(near) else None
         if scene is not None:
@@ -87,7 +93,9 @@ class TomThumb:
         return self._decided(found, n, info, scene, rng)
 
     def learn(self, ids: Ids, t: float) -> None:
-        """Nothing yet."""
+        """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
+        if self.memory:
+            self.lessons.learn(ids, t)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations: pose basins matter."""
@@ -107,8 +115,13 @@ class TomThumb:
         reach = np.sqrt(2.0 * np.maximum(gain, 1.0) * np.linalg.eigvalsh(spread)[:, 1])
         cell = float(reach.max())
         grid = flights.fill_grid(s.p, cell)
-        Xi_inverse = np.linalg.inv(s.Xi)
-        apart = np.array([2.0 * np.sqrt(np.trace(noise.mean(0))), 2.0 * np.sqrt(np.trace(noise.mean(0))) / max(np.abs(s.q).max(), 1e-9)])
+        Xi_inverse: Array = np.asarray(np.linalg.inv(s.Xi), np.float64)
+        apart = np.array(
+            [
+                2.0 * np.sqrt(np.trace(noise.mean(0))),
+                2.0 * np.sqrt(np.trace(noise.mean(0))) / max(np.abs(s.q).max(), 1e-9),
+            ]
+        )
         limit = chdtri(3, 1.0 - self.gates[1])
         poses, scores, tried, used = flights.explore(
             s.q, packed, gain, pairs, tolerance, near.start, near.columns, s.p, s.odds - top,
@@ -121,15 +134,18 @@ class TomThumb:
     def _basin(self, s: Rigid, pose: Array, cell: float, grid: Any, Xi_inverse: Array) -> Basin:
         gate2 = float(chdtri(2, 1.0 - self.gates[1]))
         reach = np.sqrt(gate2 * np.linalg.eigvalsh(s.R + 3.0 * s.D.mean(0))[:, 1])
-        start, columns = flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid)
+        near = permitted(*flights.local_candidates(pose, s.q, 1.5 * reach, s.p, cell, *grid), s.allowed)
+        start, columns = near.start, near.columns
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
         gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
-        return Basin(match, value, gains, Window(start, columns), at, M)
+        return Basin(match, value, gains, near, at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
-    def _within(self, problem: AssociationProblem, near: Window, base: Array, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
+    def _within(
+        self, problem: AssociationProblem, near: Window, base: Array, rng: Rng
+    ) -> tuple[list[Basin], dict[str, Any]]:
         """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
         nu, R = problem.innovation, problem.R
         C = np.ascontiguousarray(problem.predictions.cov)
@@ -158,7 +174,9 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(self, found: list[Basin], n: int, info: dict[str, Any], scene: Rigid | None, rng: Rng) -> Sequence[Association]:
+    def _decided(
+        self, found: list[Basin], n: int, info: dict[str, Any], scene: Rigid | None, rng: Rng
+    ) -> Sequence[Association]:
         found = distinct(found, self.reach)
         best = found[0]
         info = {**info, "objective": best.value, "basins": len(found)}
@@ -168,7 +186,13 @@ class TomThumb:
             p, none = sampled_marginals(found, scene, n, self.samples, float(chdtri(2, 1.0 - self.gates[1])), rng)
         match = best.match if self.decide == "map" else most_probable(p, none, self.least)
         chance = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
-        return [Association(match, 0.0, info, chance)]
+        first = Association(match, best.value, info, chance)
+        return [first, *self._brothers(found[1:], best.value, match)]
+
+    def _brothers(self, others: list[Basin], best: float, match: Ids) -> list[Association]:
+        """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
+        near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
+        return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
 
 
 def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, Array]:
@@ -198,8 +222,14 @@ def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, A
 def most_possible(near: Window, base: Array, R: Array) -> Array:
     """Upper bound (m,) of what each observation can add to L: the best base gain at a perfect fit, S no less than R."""
     perfect = -0.5 * np.log(np.linalg.det(R)) - posterior.LOG_2PI
-    best = np.array([base[i, near.columns[a:b]].max() if b > a else 0.0 for i, (a, b) in enumerate(zip(near.start, near.start[1:], strict=False))])
-    return np.maximum(best + perfect, 0.0)
+    best = np.array(
+        [
+            base[i, near.columns[a:b]].max() if b > a else 0.0
+            for i, (a, b) in enumerate(zip(near.start, near.start[1:], strict=False))
+        ]
+    )
+    most: Array = np.maximum(best + perfect, 0.0)
+    return most
 
 
 def _reordered(near: Window, order: Ids) -> Window:
@@ -234,15 +264,18 @@ def mixed_marginals(found: list[Basin], weights: Array, n: int) -> tuple[Array, 
     return p, none
 
 
-def sampled_marginals(found: list[Basin], s: Rigid, n: int, samples: int, gate2: float, rng: Rng) -> tuple[Array, Array]:
+def sampled_marginals(
+    found: list[Basin], s: Rigid, n: int, samples: int, gate2: float, rng: Rng
+) -> tuple[Array, Array]:
     """The same with the pose integrated out by importance sampling: given the pose, the pairings are independent.
 
     Poses are drawn from a mixture of the basins' Gaussians, widened by half; each is weighed by its prior times the sum
     over all assignments (Bethe), divided by the mixture's density (deterministic mixture weights).
     """
     Xi_inverse = np.linalg.inv(s.Xi)
-    factors = [1.5 * np.linalg.cholesky(np.linalg.inv(b.M)) for b in found]
-    centres = [b.pose for b in found]
+    known = [(b.pose, b.M) for b in found if b.pose is not None and b.M is not None]
+    centres = [pose for pose, _ in known]
+    factors: list[Array] = [1.5 * np.linalg.cholesky(np.linalg.inv(M)) for _, M in known]
     m, p, none = len(s.q), np.zeros((len(s.q), n)), np.zeros(len(s.q))
     parts, logs = [], []
     still = np.zeros((3, 3))

@@ -32,6 +32,10 @@ KERNELS: dict[str, Kernel] = {
 }
 
 
+# Poses in time, then landmarks: the factor is a band and a border, which no general ordering improves on.
+IN_ORDER = {"SymmetricMode": True}
+
+
 @dataclass(frozen=True)
 class Smoothed:
     """poses (K, 3) of the robot at the run's `steps (K,)`, landmarks (n, 2) with `ids`; cost before and after.
@@ -57,7 +61,7 @@ class _Scales:
     sightings: Array
 
 
-def solve(graph: Graph, *, robust: str = "none", iterations: int = 100, tolerance: float = 1e-9) -> Smoothed:
+def solve(graph: Graph, *, robust: str = "none", iterations: int = 100, tolerance: float = 1e-6) -> Smoothed:
     """The poses and landmarks of least cost. `robust`: kernel on the sightings, "none", "huber" or "cauchy".
 
     Ends when a step lowers the cost by less than `tolerance` of it. Raises UnknownName, and Diverged when no step does
@@ -101,8 +105,8 @@ def _step(
 
     scale = diags_array(A.diagonal())
     while damping < 1e12:
-        options = {"SymmetricMode": True}
-        new = x - splu((A + damping * scale).tocsc(), permc_spec="MMD_AT_PLUS_A", options=options).solve(g)
+        factor = splu((A + damping * scale).tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options=IN_ORDER)
+        new = x - factor.solve(g)
         new_cost = _cost(graph, scales, new, kernel)
         if new_cost <= cost:
             return new, new_cost, max(damping / 10.0, 1e-12)

@@ -1,4 +1,4 @@
-"""tomthumb info and tomthumb export."""
+"""tomthumb info, export and fetch: logs on their way in, results on their way out."""
 
 from __future__ import annotations
 
@@ -27,3 +27,12 @@ def test_a_saved_run_goes_out_again(tomthumb, tmp_path):
     said = tomthumb("export", folder, tmp_path / "run.tumm")
     assert said.code == 2
     assert "did you mean" in said.err or "Valid" in said.err
+
+
+def test_fetch_lists_what_there_is_and_names_what_there_is_not(tomthumb, tmp_path):
+    known = tomthumb("fetch", "--json").json
+    assert all(row["megabytes"] > 0 and row["licence"] for row in known.values())
+    assert "car_park" in tomthumb("fetch").out
+    said = tomthumb("fetch", "car_parc", "-o", tmp_path)
+    assert said.code == 2
+    assert "did you mean 'car_park'" in said.err

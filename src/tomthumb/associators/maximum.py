@@ -1,0 +1,73 @@
+"""The most probable hypothesis, proven: branch and bound on the joint posterior that Simulated Tom Thumb searches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from tomthumb.associators.candidates import gated
+from tomthumb.associators.tom_thumb.scene import base_gains, window
+from tomthumb.errors import TomThumbError
+from tomthumb.kernels import posterior
+from tomthumb.protocols import Rng
+from tomthumb.types import Array, Association, AssociationProblem, Ids
+
+NO_LIMIT = int(np.iinfo(np.int64).max)
+
+
+@dataclass(slots=True)
+class MaximumPosterior:
+    """The hypothesis of largest L(a) = sum [log P_D / (1 - P_D) - log lambda0] - D2 / 2 - log det(2 pi S) / 2.
+
+    D2 and S are joint over all pairs. Every pairing lies within `gate` by itself, there is no joint test. `budget`
+    bounds the nodes (0: no limit); `info` tells the nodes, the value reached and whether it is "optimal" or
+    "truncated". `hypotheses` are returned at most, those within `slack` nats of the best, with relative log weights.
+    """
+
+    gate: float = 1.0 - 1e-6
+    budget: int = 1_000_000
+    hypotheses: int = 1
+    slack: float = 3.0
+
+    def __post_init__(self) -> None:
+        if self.hypotheses < 1:
+            raise TomThumbError(f"hypotheses must be at least 1, got {self.hypotheses}")
+
+    def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
+        """See `protocols.Associator`."""
+        m, n = problem.shape
+        if m == 0 or n == 0:
+            return [Association(np.full(m, -1, np.int64), info={"nodes": 0, "proof": "optimal", "objective": 0.0})]
+        own, odds = base_gains(problem, None)
+        pool, values, nodes, proven = self._search(problem, own[:, None] + odds[None])
+        info = {"nodes": nodes, "proof": "optimal" if proven else "truncated", "objective": float(values[0])}
+        kept = np.flatnonzero(np.isfinite(values) & (values >= values[0] - self.slack))
+        return [Association(pool[k], float(values[k] - values[0]), info) for k in kept[: self.hypotheses]]
+
+    def _search(self, problem: AssociationProblem, base: Array) -> tuple[Ids, Array, int, bool]:
+        """Hypotheses (K, m) best first with their L (K,), nodes, and whether the first is proven."""
+        m = len(problem.z)
+        gate2 = float(chdtri(2, 1.0 - self.gate))
+        near, listed = window(problem.d2, self.gate), gated(problem.d2, gate2)
+        given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base)
+        first, value = posterior.complete(np.full(m, -1, np.int64), *given, near.start, near.columns, gate2)
+        pool, values = np.full((self.hypotheses, m), -1, np.int64), np.full(self.hypotheses, -np.inf)
+        nodes, proven = posterior.search(
+            *given, _most_possible(problem, base, gate2), listed.order, listed.start, listed.columns,
+            np.full(m + 1, np.inf), first, value, self.slack if self.hypotheses > 1 else 0.0,
+            self.budget or NO_LIMIT, pool, values,
+        )  # fmt: skip
+        return pool, values, nodes, proven
+
+    def learn(self, ids: Ids, t: float) -> None:
+        """Nothing to learn."""
+
+
+def _most_possible(problem: AssociationProblem, base: Array, gate2: float) -> Array:
+    """The most (m,) that each observation can add to L: S given all other pairs is never less than R."""
+    perfect = -0.5 * np.log(np.linalg.det(problem.R)) - posterior.LOG_2PI
+    best: Array = np.where(problem.d2 < gate2, base + perfect[:, None], 0.0).max(1)
+    return np.maximum(best, 0.0)

@@ -1,0 +1,165 @@
+"""Simulated Tom Thumb: the window loses nothing, anchored flights find the pose, the stream alone decides chance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from associators.brute import random_problem, tabulate
+from tomthumb.associators.tom_thumb import TomThumb
+from tomthumb.associators.tom_thumb.scene import base_gains, lever, rigid, window
+from tomthumb.kernels import flights, posterior
+from tomthumb.kernels.gates import innovations
+from tomthumb.types import AssociationProblem, Predictions
+
+
+def wide(rng, m, metres=0.6, degrees=4.0):
+    """About m Cartesian observations of a known cloud, one landmark per m2, from an uncertain pose."""
+    reach = np.sqrt(m / np.pi)
+    extent = reach + 4 * metres
+    points = rng.uniform(-extent, extent, (rng.poisson(4 * extent**2), 2))
+    error = rng.standard_normal(3) * [metres, metres, np.radians(degrees)]
+    c, s = np.cos(error[2]), np.sin(error[2])
+    turn = np.array([[c, -s], [s, c]])
+    seen = points @ turn.T + error[:2]
+    truth = np.flatnonzero((np.hypot(*seen.T) < reach) & (rng.random(len(seen)) < 0.9))
+    z = seen[truth] + 0.05 * rng.standard_normal((len(truth), 2))
+    Xi = np.diag([metres, metres, np.radians(degrees)]) ** 2
+    B = lever(points).reshape(-1, 3)
+    cov = B @ Xi @ B.T + 0.02**2 * np.eye(len(B))
+    predictions = Predictions(np.arange(len(points)), points, cov)
+    nu = innovations(z, points, np.zeros(2, bool))
+    R = np.tile(0.05**2 * np.eye(2), (len(z), 1, 1))
+    return AssociationProblem(z, R, nu, predictions, np.full(len(z), 0.1), np.arange(len(z))), truth, error
+
+
+@given(seed=st.integers(0, 2**32 - 1), gate=st.sampled_from([0.9, 0.99, 1 - 1e-6]))
+@settings(max_examples=40, deadline=None)
+def test_the_window_holds_the_brute_force_gate(seed, gate):
+    problem = random_problem(np.random.default_rng(seed), 6, 8)
+    near = window(problem.d2, gate)
+    from scipy.special import chdtri
+
+    for i in range(6):
+        mine = near.columns[near.start[i] : near.start[i + 1]]
+        d2 = [
+            float(
+                problem.innovation[i, j] @ np.linalg.solve(problem.blocks[j] + problem.R[i], problem.innovation[i, j])
+            )
+            for j in range(8)
+        ]
+        assert set(mine) == {j for j in range(8) if d2[j] < chdtri(2, 1 - gate)}
+        assert (np.diff(np.array(d2)[mine]) >= -1e-12).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.05, 3.0))
+@settings(max_examples=40, deadline=None)
+def test_local_candidates_are_all_points_within_reach_under_the_pose(seed, reach):
+    """Rings enough for any reach: never a silent cut."""
+    rng = np.random.default_rng(seed)
+    q, points, cell = rng.uniform(-3, 3, (5, 2)), rng.uniform(-3, 3, (30, 2)), 0.4
+    pose = rng.uniform(-1, 1, 3)
+    start, columns = flights.local_candidates(
+        pose, q, np.full(5, reach), points, cell, *flights.fill_grid(points, cell)
+    )
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    moved = points @ np.array([[c, -s], [s, c]]).T + pose[:2]
+    for i in range(5):
+        assert set(columns[start[i] : start[i + 1]]) == set(np.flatnonzero(np.hypot(*(moved - q[i]).T) <= reach))
+
+
+def test_the_rigid_motion_is_recovered_from_the_covariance_alone():
+    problem, _, _ = wide(np.random.default_rng(1), 20)
+    base, odds = base_gains(problem, None)
+    scene = rigid(problem, base, odds)
+    assert np.allclose(scene.Xi, np.diag([0.6, 0.6, np.radians(4.0)]) ** 2, rtol=0.05, atol=1e-3)
+    assert np.allclose(scene.D, 0.02**2 * np.eye(2), atol=1e-3)
+
+
+def test_a_covariance_that_is_no_rigid_motion_is_not_taken_for_one():
+    problem, _, _ = wide(np.random.default_rng(1), 20)
+    n = len(problem.predictions)
+    shared = np.kron(
+        np.outer(np.cos(np.arange(n)), np.cos(np.arange(n))), np.eye(2)
+    )  # a common error that is no motion
+    odd = Predictions(problem.predictions.ids, problem.predictions.z_hat, problem.predictions.cov + 0.3 * shared)
+    other = AssociationProblem(problem.z, problem.R, problem.innovation, odd, problem.clutter, problem.serials)
+    assert rigid(other, *base_gains(other, None)) is None
+
+
+@pytest.mark.parametrize("m", [16, 32])
+def test_anchored_flights_find_the_pose_and_the_names(m):
+    """Pose errors of .6 m and 4 deg, a dozen candidates each: at least 95 % right over 8 problems (98 is the goal)."""
+    rng, right, total = np.random.default_rng(2), 0, 0
+    for _ in range(8):
+        problem, truth, _ = wide(rng, m)
+        found = TomThumb().associate(problem, np.random.default_rng(0))[0]
+        assert found.info["poses"] > 0
+        right += int((found.match == truth).sum())
+        total += len(truth)
+    assert right >= 0.95 * total
+
+
+def test_the_refined_pose_is_the_true_one():
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        problem, truth, error = wide(rng, 32)
+        s = rigid(problem, *base_gains(problem, None))
+        gate2, cell = 27.6, 0.5
+        grid = flights.fill_grid(s.p, cell)
+        start, columns = flights.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, cell, *grid)
+        rough = error + np.array([0.05, -0.05, 0.01])
+        prior = np.linalg.inv(s.Xi)
+        at, M, match, _ = flights.refine(rough, s.q, s.R, s.p, s.D, s.base, s.odds, prior, start, columns, gate2, 3)
+        off = at - error
+        assert off @ M @ off < 21.1  # chi-square, 3 dof, 1 - 1e-4
+        assert (match == truth).mean() > 0.9
+
+
+def test_unambiguous_scans_are_proven_and_right():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
+        found = TomThumb().associate(problem, rng)[0]
+        own, odds = base_gains(problem, None)
+        table = tabulate(problem, 1 - 1e-6)
+        best = np.where(table.compatible, table.posterior(own[:, None] + odds[None]), -np.inf).max()
+        assert found.info["proof"] == "optimal"
+        assert found.info["objective"] == pytest.approx(best, abs=1e-8)
+
+
+def test_the_objective_is_the_maximum_over_all_hypotheses():
+    """On the full covariance (few candidates, or a covariance that is no rigid motion)."""
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        problem = random_problem(rng, 2, int(rng.integers(1, 5)), spread=float(rng.uniform(0.4, 2.0)))
+        found = TomThumb(decide="map").associate(problem, rng)[0]
+        own, odds = base_gains(problem, None)
+        base = own[:, None] + odds[None]
+        table = tabulate(problem, 1 - 1e-6)
+        best = np.where(table.compatible, table.posterior(base), -np.inf).max()
+        args = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base
+        assert found.info["objective"] == pytest.approx(best, abs=1e-8)
+        assert posterior.value_of(found.match, *args)[0] == pytest.approx(best, abs=1e-8)
+
+
+def test_the_same_stream_gives_the_same_answer():
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        problem, _, _ = wide(rng, 16)
+        one, two = (TomThumb().associate(problem, np.random.default_rng(9))[0] for _ in range(2))
+        assert np.array_equal(one.match, two.match)
+        assert np.array_equal(one.confidence, two.confidence)
+        assert one.info == two.info
+
+
+@given(seed=st.integers(0, 2**32 - 1), m=st.integers(1, 8), n=st.integers(1, 8), bearings=st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_confidence_is_a_probability_and_matches_are_one_to_one(seed, m, n, bearings):
+    problem = random_problem(np.random.default_rng(seed), m, n, angles=(1,) if bearings else ())
+    found = TomThumb().associate(problem, np.random.default_rng(0))[0]
+    assert ((found.confidence >= -1e-9) & (found.confidence <= 1 + 1e-9)).all()
+    paired = found.match[found.match >= 0]
+    assert len(np.unique(paired)) == len(paired)
