@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
 
-from scan_problems import CLASSES, CLOUD_CLASSES, SECTOR_CLASSES, crowd, scans
+from scan_problems import CLASSES, CLOUD_CLASSES, SECTOR_CLASSES, crowd, scans  # noqa: E402
 
 
 @pytest.mark.parametrize("kind", CLASSES)
@@ -65,3 +67,27 @@ def test_most_true_pairs_are_within_a_wide_gate():
     for scan in scans("mid", 20, 10, 4):
         d2 = scan.problem().d2[np.arange(20), scan.truth]
         assert (d2 < chdtri(2, 1e-6)).all()
+
+
+@pytest.mark.slow
+def test_the_runner_writes_its_tables_between_the_markers(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "before\n<!-- single_scan: written by benchmarks/single_scan.py -->\nold\n<!-- end of single_scan -->\nafter\n"
+    )
+    settings = "--count 3 --classes sep,mid --sizes 4 --methods nn,jcbb,map,stt"
+    ran = subprocess.run(
+        [sys.executable, "single_scan.py", *settings.split(), "--write", str(page)],
+        cwd=BENCHMARKS,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert ran.returncode == 0, ran.stderr
+    text = page.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert f"{settings}`" in text
+    for heading in ("Right decisions", "JCBB at its best gate", "Time of one scan", "The optimum", "confidence"):
+        assert heading in text
