@@ -51,10 +51,10 @@ def _cells(points: Array) -> tuple[Ids, Ids]:
 
 @dataclass(slots=True)
 class Surprise:
-    """How much the last residuals exceed what R claims: median d2 of pairings, and of what all but paired, over its due.
+    """How much the last residuals exceed what R claims: median and upper tenth of d2, of pairings and what all but paired.
 
-    Noise that is said too small makes every gate reject right pairings; a log's data sheet often does. The median does
-    not mind walkers and outliers. Below `dead` (3 sigma of the median of 400 values) nothing happens, so a right
+    Noise that is said too small makes every gate reject right pairings; a log's data sheet often does. These quantiles do
+    not mind a few walkers and outliers. Below `dead` (3 sigma of the median of 400 values) nothing happens, so a right
     model stays as it is; `most` keeps a lost filter from accepting everything.
     """
 
@@ -68,8 +68,8 @@ class Surprise:
         """Squared distances (2 degrees of freedom each: median 2 log 2), by the R that was claimed."""
         self.last.extend(d2)
         if len(self.last) >= self.least:
-            middle, upper = np.quantile(self.last, (0.5, 0.95))
-            ratio = float(max(middle / (2.0 * math.log(2.0)), upper / (2.0 * math.log(20.0))))
+            middle, upper = np.quantile(self.last, (0.5, 0.9))
+            ratio = float(max(middle / (2.0 * math.log(2.0)), upper / (2.0 * math.log(10.0))))
             self.scale = min(ratio, self.most) if ratio > self.dead else 1.0
 
 

@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
-from handmade import estimate, trace, truth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handmade import estimate, trace, truth
 from tomthumb.metrics.assignment import best_assignment
 from tomthumb.metrics.identity import duplicates_and_ghosts, final_ids, identify, purity_and_idf1
 

@@ -191,10 +191,9 @@ def _settle(
         return
     if k == size - 1 and not touched[k]:
         support[k] = 0
-    flag = touched[k] if scores[k] > -np.inf else False
     votes = support[k] if scores[k] > -np.inf else 0
     if k == size - 1 and scores[k] > -np.inf and not touched[k]:
-        flag, votes = False, 0
+        votes = 0
     while k > 0 and scores[k - 1] < score:
         poses[k], scores[k], support[k], touched[k] = poses[k - 1], scores[k - 1], support[k - 1], touched[k - 1]
         k -= 1
@@ -261,7 +260,7 @@ def refine(
     m, n = q.shape[0], points.shape[0]
     at, match, M = pose.copy(), np.full(m, -1, np.int64), prior_inverse.copy()
     spread = np.zeros((3, 3))  # the first round trusts the pose, later ones know its covariance
-    for step in range(rounds):
+    for _round in range(rounds):
         match = _assign(at, spread, q, R, points, D, base, odds, start, columns, gate2, n)
         for _ in range(2):
             M, g = _normal(at, q, R, points, D, match, prior_inverse)

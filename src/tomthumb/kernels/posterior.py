@@ -356,7 +356,6 @@ def ruin(
     r is the flight's length (heavy tail); boots: after `patience` flights in vain, r grows by one (stagnation). A better
     hypothesis becomes the place to start from. Returns it, its L, and the flights made.
     """
-    m = match.shape[0]
     best, best_value, vain, boots = match.copy(), value, 0, 0
     for flight in range(lengths.shape[0]):
         rows = np.flatnonzero(best >= 0)
