@@ -23,13 +23,17 @@ from scan_problems import CLASSES, CLOUD_CLASSES, Scan, scans
 from threadpoolctl import threadpool_limits
 
 from tomthumb import registry
-from tomthumb.associators.tom_thumb.scene import base_gains
+from tomthumb.associators.tom_thumb.scene import base_gains, rigid
+from tomthumb.kernels.flights import refine
+from tomthumb.kernels.ipjc import posterior_d2
 from tomthumb.kernels.posterior import value_of
 from tomthumb.stats.bootstrap import mean_interval
-from tomthumb.types import Array, Association, AssociationProblem
+from tomthumb.stats.profiles import growth
+from tomthumb.types import Array, Association, AssociationProblem, Ids
 
+NO_LIMIT = 2**62
 GATES = (0.95, 0.99, 0.999, 0.9999)
-SECTOR_SIZES, CLOUD_SIZES = (5, 10, 20), (16, 32, 64)
+SECTOR_SIZES, CLOUD_SIZES = (5, 10, 20, 50, 100), (16, 32, 64)
 BEGIN, END = "<!-- single_scan: written by benchmarks/single_scan.py -->", "<!-- end of single_scan -->"
 LEVELS = np.array([0.0, 0.5, 0.85, 0.95, 0.99, 1.0 + 1e-9])  # of confidence
 
@@ -47,6 +51,7 @@ class Outcome:
 def methods(wanted: str, nodes: int) -> dict[str, tuple[str, dict[str, float]]]:
     """Column name -> (associator, parameters). "jcbb" stands for all gates."""
     table: dict[str, tuple[str, dict[str, float]]] = {}
+    nodes = nodes or NO_LIMIT
     for name in wanted.split(","):
         if name == "jcbb":
             table.update({f"jcbb {gate:g}": (name, {"gate": gate, "budget": nodes}) for gate in GATES})
@@ -55,8 +60,15 @@ def methods(wanted: str, nodes: int) -> dict[str, tuple[str, dict[str, float]]]:
     return table
 
 
+def warm_up(chosen: dict[str, tuple[str, dict[str, float]]]) -> None:
+    """Easy and hard scans through all methods, so that nothing is compiled within a timing."""
+    for method in chosen.values():
+        for kind, size in (("sep", 4), ("mid+sp", 6), ("wide", 8)):
+            measure(method, scans(kind, size, 8, 99))
+
+
 def measure(method: tuple[str, dict[str, float]], cell: list[Scan]) -> Outcome:
-    """Every problem once; the first one before that as well, so that nothing is compiled or read within a timing."""
+    """Every problem once; the first one before that as well, so that caches hold what the method works on."""
     part = registry.build("associator", *method)
     part.associate(cell[0].problem(), np.random.default_rng(0))
     right, seconds, found = [], [], []
@@ -71,45 +83,114 @@ def measure(method: tuple[str, dict[str, float]], cell: list[Scan]) -> Outcome:
     return Outcome(np.array(right), np.array(seconds), finished, found)
 
 
-def value(problem: AssociationProblem, match: Array) -> float:
+def value(problem: AssociationProblem, match: Ids) -> float:
     """L of a match on the full covariance: the objective of `map`."""
     own, odds = base_gains(problem, None)
     cov = np.ascontiguousarray(problem.predictions.cov)
     return float(value_of(match, problem.innovation, cov, problem.R, own[:, None] + odds[None])[0])
 
 
-def optimum_reached(cell: list[Scan], proven: Outcome) -> tuple[int, int]:
-    """Problems that `map` finished, and those of them where STT's most probable hypothesis has the same L."""
+def value_by_motion(problem: AssociationProblem, match: Ids) -> float:
+    """L of a match in the form that STT maximises over poses: not linearised (pairings that lower it are left out)."""
+    s = rigid(problem, *base_gains(problem, None))
+    if s is None or not (match >= 0).any():
+        return 0.0
+    rows = np.flatnonzero(match >= 0)
+    prior, pose = np.linalg.inv(s.Xi), np.zeros(3)
+    posterior_d2(pose, rows, match[rows], len(rows), s.q, s.R, s.p, s.D, prior)
+    start = np.concatenate([[0], np.cumsum(match >= 0)]).astype(np.int64)
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds, prior)
+    return float(refine(pose, *args, start, match[rows], np.inf, 3)[3])
+
+
+def optimum_reached(cell: list[Scan], proven: Outcome) -> tuple[int, int, int]:
+    """Problems that `map` finished; where STT's most probable hypothesis has the same L; where, by the objective that STT
+    itself used, the optimum of `map` is no better than what STT found."""
     part = registry.build("associator", "stt", {"decide": "map"})
-    reached = finished = 0
+    finished = same = unbeaten = 0
     for k, (scan, best) in enumerate(zip(cell, proven.found, strict=True)):
         if best.info["proof"] != "optimal":
             continue
         problem = scan.problem()
-        match = part.associate(problem, np.random.default_rng([7, k]))[0].match
+        answer = part.associate(problem, np.random.default_rng([7, k]))[0]
         finished += 1
-        reached += value(problem, match) > best.info["objective"] - 1e-6
-    return reached, finished
+        same += value(problem, answer.match) > best.info["objective"] - 1e-6
+        rival = value_by_motion(problem, best.match) if "poses" in answer.info else best.info["objective"]
+        unbeaten += answer.info["objective"] > rival - 1e-6
+    return finished, same, unbeaten
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
 
+Tables = dict[tuple[str, int], dict[str, Outcome]]
 
-def rows(kind: str, size: int, table: dict[str, Outcome]) -> Iterator[str]:
-    """One line of Markdown for each method; "-": nothing to compare with, or nothing is ever cut off."""
+
+def share(outcome: Outcome, rng: np.random.Generator) -> str:
+    """Mean share right and its interval, in percent."""
+    low, high = mean_interval(100.0 * outcome.right, rng)
+    return f"{100.0 * outcome.right.mean():.1f} [{low:.1f}, {high:.1f}]"
+
+
+def right_table(tables: Tables, names: list[str]) -> Iterator[str]:
+    """Share right, one column for each method."""
     rng = np.random.default_rng(1)
-    for name, outcome in table.items():
-        mean = 100.0 * outcome.right.mean()
-        low, high = (100.0 * v for v in mean_interval(outcome.right, rng))
-        against = "-"
-        if name != "stt" and "stt" in table:
-            gap = 100.0 * (table["stt"].right - outcome.right)
-            a, b = mean_interval(gap, rng)
-            against = f"{gap.mean():+.2f} [{a:+.2f}, {b:+.2f}]"
-        median, late = np.quantile(1e3 * outcome.seconds, [0.5, 0.99])
-        cut = int((~outcome.finished).sum()) if name.startswith(("jcbb", "map", "ipjc", "clique")) else "-"
-        share = f"{mean:.2f} [{low:.2f}, {high:.2f}]"
-        yield f"| {kind} | {size} | {name} | {share} | {against} | {median:.2f} | {late:.2f} | {cut} |"
+    yield "| class | size | " + " | ".join(names) + " |"
+    yield "|---" * (len(names) + 2) + "|"
+    for (kind, size), table in tables.items():
+        cells = (share(table[name], rng) if name in table else "-" for name in names)
+        yield f"| {kind} | {size} | " + " | ".join(cells) + " |"
+
+
+def paired_table(tables: Tables) -> Iterator[str]:
+    """STT minus JCBB at the gate that is best in the cell, and minus the exact maximum, on the same problems."""
+    yield "| class | size | best gate of JCBB | STT minus it | STT minus map |"
+    yield "|---|---|---|---|---|"
+    for (kind, size), table in tables.items():
+        gates = [name for name in table if name.startswith("jcbb")]
+        if "stt" not in table or not gates:
+            continue
+        best = max(gates, key=lambda name: table[name].right.mean())
+        yield f"| {kind} | {size} | {best[5:]} | {gap(table, best)} | {gap(table, 'map')} |"
+
+
+def gap(table: dict[str, Outcome], other: str) -> str:
+    """STT minus another method, percentage points with their interval."""
+    if other not in table:
+        return "-"
+    difference = 100.0 * (table["stt"].right - table[other].right)
+    low, high = mean_interval(difference, np.random.default_rng(1))
+    return f"{difference.mean():+.2f} [{low:+.2f}, {high:+.2f}]"
+
+
+def time_table(tables: Tables, names: list[str]) -> Iterator[str]:
+    """Median / 99th percentile in ms, and on how many scans the budget of nodes was spent."""
+    yield "| class | size | " + " | ".join(names) + " |"
+    yield "|---" * (len(names) + 2) + "|"
+    for (kind, size), table in tables.items():
+        cells = (times(name, table[name]) if name in table else "-" for name in names)
+        yield f"| {kind} | {size} | " + " | ".join(cells) + " |"
+
+
+def times(name: str, outcome: Outcome) -> str:
+    """Milliseconds; for the searches with a budget also the share of scans cut off, where there are any."""
+    median, late = np.quantile(1e3 * outcome.seconds, [0.5, 0.99])
+    cut = 0.0 if name == "stt" else 100.0 * (~outcome.finished).mean()
+    return f"{median:.2f} / {late:.1f}" + (f" ({cut:.0f} % cut)" if cut else "")
+
+
+def growth_lines(tables: Tables, names: list[str]) -> Iterator[str]:
+    """Exponent of the median time's growth with the number of observations, by class."""
+    yield "| class | " + " | ".join(names) + " |"
+    yield "|---" * (len(names) + 1) + "|"
+    for kind in dict.fromkeys(kind for kind, _ in tables):
+        sizes = [size for k, size in tables if k == kind]
+        cells = []
+        for name in names:
+            costs = [float(np.median(tables[kind, size][name].seconds)) for size in sizes if name in tables[kind, size]]
+            cells.append(
+                f"{growth(np.array(sizes, float), np.array(costs)):.2f}" if len(costs) == len(sizes) > 1 else "-"
+            )
+        yield f"| {kind} | " + " | ".join(cells) + " |"
 
 
 def calibration(answers: list[tuple[Association, Scan]]) -> Iterator[str]:
@@ -121,49 +202,66 @@ def calibration(answers: list[tuple[Association, Scan]]) -> Iterator[str]:
             chance.append(answer.confidence[paired])
             right.append(answer.match[paired] == scan.truth[paired])
     given, good = np.concatenate(chance), np.concatenate(right)
+    yield "| confidence | pairings | mean confidence % | right % |"
+    yield "|---|---|---|---|"
     for low, high in pairwise(LEVELS):
         inside = (given >= low) & (given < high)
         if inside.any():
-            share = f"{100 * given[inside].mean():.1f} | {100 * good[inside].mean():.1f}"
-            yield f"| {low:.2f} to {min(high, 1.0):.2f} | {int(inside.sum())} | {share} |"
+            figures = f"{100 * given[inside].mean():.1f} | {100 * good[inside].mean():.1f}"
+            yield f"| {low:.2f} to {min(high, 1.0):.2f} | {int(inside.sum())} | {figures} |"
 
 
 def report(args: argparse.Namespace) -> str:
     """The whole page between the markers."""
     chosen = methods(args.methods, args.nodes)
-    lines, optimum, answers = [], [], []
+    warm_up(chosen)
+    tables: Tables = {}
+    optimum, answers = ["| class | size | proven by `map` | same L | not beaten |", "|---|---|---|---|---|"], []
     for kind in args.classes.split(","):
-        sizes = args.sizes or (CLOUD_SIZES if kind in CLOUD_CLASSES else SECTOR_SIZES)
-        for size in sizes:
+        for size in args.sizes or (CLOUD_SIZES if kind in CLOUD_CLASSES else SECTOR_SIZES):
             cell = scans(kind, size, args.count, args.seed)
             table = {name: measure(m, cell) for name, m in chosen.items() if m[0] not in SLOW.get(kind, ())}
-            lines += rows(kind, size, table)
-            print("\n".join(lines[-len(table) :]), flush=True)
-            if "map" in table:
-                reached, finished = optimum_reached(cell, table["map"])
-                optimum.append(f"| {kind} | {size} | {finished} of {len(cell)} | {reached} |")
+            tables[kind, size] = table
+            print(
+                kind, size, {name: round(100 * outcome.right.mean(), 1) for name, outcome in table.items()}, flush=True
+            )
+            if "map" in table and "stt" in table:
+                finished, same, unbeaten = optimum_reached(cell, table["map"])
+                optimum.append(f"| {kind} | {size} | {finished} of {len(cell)} | {same} | {unbeaten} |")
             if "stt" in table:
                 answers += zip(table["stt"].found, cell, strict=True)
-    parts = [f"Made by `python benchmarks/single_scan.py {args.told}`.", "", HEAD, *lines]
-    if optimum:
-        parts += ["", OPTIMUM, *optimum]
+    return "\n".join(page(args, tables, list(chosen), optimum, answers))
+
+
+def page(
+    args: argparse.Namespace,
+    tables: Tables,
+    names: list[str],
+    optimum: list[str],
+    answers: list[tuple[Association, Scan]],
+) -> Iterator[str]:
+    """All tables, each with its heading."""
+    yield f"Made by `python benchmarks/single_scan.py {args.told}`: {args.count} problems a cell, seed {args.seed}."
+    yield from ("", "## Right decisions, % [95 % interval]", "", *right_table(tables, names))
+    yield from (
+        "",
+        "## STT against JCBB at its best gate and against the exact maximum, points",
+        "",
+        *paired_table(tables),
+    )
+    yield from ("", "## Time of one scan, median / 99th percentile, ms", "", *time_table(tables, names))
+    yield from ("", "## Growth of the median time: exponent of the size", "", *growth_lines(tables, names))
+    if len(optimum) > 2:
+        yield from ("", "## The optimum", "", *OPTIMUM.splitlines(), "", *optimum)
     if answers:
-        parts += ["", CALIBRATION, *calibration(answers)]
-    return "\n".join(parts)
+        yield from ("", "## Is the confidence honest?", "", *calibration(answers))
 
 
 # left out: seconds a scan, or no hope of finishing, where each observation has a dozen or a hundred candidates
 SLOW = {"wide": ("map", "rjc"), "lost": ("map", "rjc", "scnn", "ipjc", "clique")}
-HEAD = """| class | size | method | right % [95 %] | STT minus it [95 %] | median ms | p99 ms | cut off |
-|---|---|---|---|---|---|---|---|"""
-OPTIMUM = """STT's most probable hypothesis (`decide=map`) against the proven optimum of the joint posterior, full covariance:
-
-| class | size | proven by `map` | the same value found by STT |
-|---|---|---|---|"""
-CALIBRATION = """STT's pairings by the confidence they were given:
-
-| confidence | pairings | mean confidence % | right % |
-|---|---|---|---|"""
+OPTIMUM = """STT's most probable hypothesis (`decide=map`) on the problems that `map` could finish. Same L: as the proven optimum
+of the joint posterior on the full covariance. In ambiguous scans STT maximises the same posterior over rigid motions,
+not linearised: not beaten means that by the form it maximised, `map`'s optimum is no better than what it found."""
 
 
 def prefixes(count: int, seed: int) -> str:
@@ -195,7 +293,7 @@ def main() -> None:
     cli.add_argument("--classes", default=",".join(CLASSES))
     cli.add_argument("--sizes", type=lambda text: [int(v) for v in text.split(",")])
     cli.add_argument("--methods", default="nn,gnn,singles,scnn,rjc,clique,jcbb,ipjc,map,stt")
-    cli.add_argument("--nodes", type=int, default=100_000, help="budget of jcbb, ipjc and map (0 in map: none)")
+    cli.add_argument("--nodes", type=int, default=20_000, help="budget of jcbb, ipjc and map (0: none)")
     cli.add_argument("--prefixes", type=int, help="only this, with so many problems")
     cli.add_argument("--write", type=Path, help="page with the markers that the tables stand between")
     args = cli.parse_args()

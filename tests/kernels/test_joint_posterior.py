@@ -40,7 +40,7 @@ def test_the_value_of_a_match_is_the_dense_one():
             assert count == table.count[row]
 
 
-def searched(problem, base, slack, budget=10**6, size=64):
+def searched(problem, base, slack, budget=10**6, size=64, gates2=None):
     near = window(problem.d2, WIDE)
     order = np.argsort(near.counts, kind="stable")
     listed = gated(problem.d2, 27.6310211159, nearest_first=True)  # chi-square, 2 dof, 1 - 1e-6
@@ -49,7 +49,7 @@ def searched(problem, base, slack, budget=10**6, size=64):
     pool, values = np.full((size, m), -1, np.int64), np.full(size, -np.inf)
     nodes, proven = posterior.search(
         *arrays(problem, base), most_possible(near, base, problem.R), listed.order, listed.start, listed.columns,
-        np.full(m + 1, np.inf), np.full(m, -1, np.int64), 0.0, slack, budget, pool, values,
+        np.full(m + 1, np.inf) if gates2 is None else gates2, np.full(m, -1, np.int64), 0.0, slack, budget, pool, values,
     )  # fmt: skip
     return pool, values, nodes, proven
 
@@ -76,6 +76,36 @@ def test_the_pool_holds_all_hypotheses_within_the_slack():
         fullest = max(fullest, len(near))
         assert (np.diff(values[np.isfinite(values)]) <= 1e-12).all()
     assert fullest > 8
+
+
+def test_with_a_joint_test_it_is_the_maximum_of_those_that_pass():
+    from scipy.special import chdtri
+
+    refused = 0
+    for problem, base, table, dense in problems(4, 80):
+        gates2 = np.append(np.inf, chdtri(2.0 * np.arange(1, len(problem.z) + 1), 0.3))
+        _, values, _, proven = searched(problem, base, 0.0, gates2=gates2)
+        passing = np.where(table.passes(0.7), dense, -np.inf)
+        assert proven
+        assert values[0] == pytest.approx(passing.max(), abs=1e-8)
+        refused += passing.max() < dense.max() - 1e-6
+    assert refused > 5
+
+
+def test_flights_inside_a_basin_never_lose():
+    rng, gained = np.random.default_rng(10), 0
+    for problem, base, _, dense in problems(11, 60):
+        near = window(problem.d2, WIDE)
+        args = (*arrays(problem, base), near.start, near.columns)
+        m = len(problem.z)
+        begin, value = posterior.complete(np.full(m, -1, np.int64), *args, 27.6)
+        lengths, uniform = rng.integers(1, m + 1, 30), rng.random((30, 2))
+        found, reached, flown = posterior.ruin(begin, value, *args, 27.6, lengths, uniform, 15)
+        assert value - 1e-9 <= reached <= dense.max() + 1e-8
+        assert reached == pytest.approx(posterior.value_of(found, *arrays(problem, base))[0], abs=1e-7)
+        assert flown <= 30
+        gained += reached > value + 1e-6
+    assert gained > 0
 
 
 def test_a_spent_budget_is_told():

@@ -17,10 +17,11 @@ from tomthumb.types import Array, Association, AssociationProblem, Ids
 class Explanation:
     """One decision of an association. Gates are the narrowest (probabilities) that let the pairing through.
 
-    landmark: column of the predictions, or -1; gain: growth of the joint posterior L by the pairing, nats, given all the
-    other pairings (0 unpaired); d2, gate: of the pairing by itself; conditional_d2, conditional_gate: given the others;
-    joint_d2, joint_gate: of the whole hypothesis. All but the joint ones are NaN for an unpaired observation. runner_up:
-    the column of the next best partner that no other observation holds, or -1 for staying unpaired, and its gain.
+    landmark: column of the predictions, or -1; gain: growth of the joint posterior L by the pairing, nats, given all
+    the other pairings (0 unpaired); d2, gate: of the pairing by itself; conditional_d2, conditional_gate: given the
+    others; joint_d2, joint_gate: of the whole hypothesis. All but the joint ones are NaN for an unpaired observation.
+    runner_up: the column of the next best partner that no other observation holds, or -1 for staying unpaired, and its
+    gain.
     """
 
     observation: int
