@@ -75,6 +75,11 @@ def test_duplicates_are_merged_only_if_never_seen_together():
     assert lifecycle.duplicates(ledger, near, {0}, POLICY) == []
 
 
+def test_a_landmark_buried_in_the_same_step_is_no_duplicate():
+    near = expected([[0, 0], [0.01, 0], [9, 9]])
+    assert lifecycle.duplicates({i: Life(0) for i in (1, 2)}, near, {0}, POLICY) == []
+
+
 def test_a_gate_as_wide_as_the_world_merges_nobody():
     wide = expected([[0, 0], [0.5, 0], [1, 1]], cov=np.eye(6))
     assert lifecycle.duplicates({i: Life(0) for i in range(3)}, wide, {0}, POLICY) == []

@@ -154,6 +154,8 @@ def duplicates(ledger: Ledger, predictions: Predictions, seen: set[int], policy:
     found, used = [], set[int]()
     for a, b in _near_pairs(predictions, seen):
         i, j = int(predictions.ids[a]), int(predictions.ids[b])
+        if i not in ledger or j not in ledger:  # buried in this very step
+            continue
         if j in ledger[i].companions or i in used or j in used:
             continue
         difference = predictions.z_hat[a] - predictions.z_hat[b]
