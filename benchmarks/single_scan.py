@@ -223,7 +223,10 @@ def report(args: argparse.Namespace) -> str:
             table = {name: measure(m, cell) for name, m in chosen.items() if m[0] not in SLOW.get(kind, ())}
             tables[kind, size] = table
             print(
-                kind, size, {name: round(100 * outcome.right.mean(), 1) for name, outcome in table.items()}, flush=True
+                kind,
+                size,
+                {name: round(100 * float(outcome.right.mean()), 1) for name, outcome in table.items()},
+                flush=True,
             )
             if "map" in table and "stt" in table:
                 finished, same, unbeaten = optimum_reached(cell, table["map"])
