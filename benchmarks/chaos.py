@@ -22,7 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from tomthumb.bench import Where, bench, lasting, read_grid, read_rows
+from tomthumb.bench.journal import reading
 from tomthumb.bench.session import journal_path
+from tomthumb.errors import BrokenFile
 
 GRID = """
 seeds = {seeds}
@@ -79,7 +81,8 @@ def chaos(home: Path, workers: int, drivers: int, rng: random.Random) -> dict[st
     killed = {"worker": 0, "driver": 0}
     driver = drive(home)
     for victim in victims:
-        time.sleep(rng.uniform(0.1, 1.5))
+        wait_for_rows(home, driver, count_rows(home) + 1)  # so that most kills hit a run, and few a start
+        time.sleep(rng.uniform(0.0, 0.7))
         pids = [driver.pid] if victim == "driver" else busy_workers(driver)
         if driver.poll() is not None or not pids:
             break  # the grid is done: too few seeds for so many kills
@@ -210,10 +213,21 @@ def end_tree(process: subprocess.Popen[bytes]) -> None:
 def wait_for_rows(home: Path, driver: subprocess.Popen[bytes], count: int) -> bool:
     """Until the journal has rows; False if the driver ended first."""
     while driver.poll() is None:
-        if journal_path(home / "wild").exists() and len(read_rows(home / "wild")) >= count:
+        if count_rows(home) >= count:
             return True
-        time.sleep(0.5)
+        time.sleep(0.2)
     return False
+
+
+def count_rows(home: Path) -> int:
+    """Rows of the disturbed grid so far."""
+    if not journal_path(home / "wild").exists():
+        return 0
+    try:
+        with reading(journal_path(home / "wild")) as journal:
+            return len(journal.keys())
+    except BrokenFile:  # its tables are being made
+        return 0
 
 
 def free_port() -> int:

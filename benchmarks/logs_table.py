@@ -1,0 +1,133 @@
+"""Every log with every associator: the table of docs/logs.md.
+
+    python benchmarks/logs_table.py [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--write FILE.md]
+
+Rows already in ``--keep FILE.json`` are not run again, so that an interrupted table goes on where it stopped. With
+--write the table replaces what stands between the marks in the document. ATE after rigid alignment, without scale;
+"GPS" is the RMS distance of the estimated laser point to the nearest GPS fix in time (0.1 s), aligned as well; the
+real-time factor is the log's duration over the CPU time of the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tomthumb
+from tomthumb.geometry import align, to_world
+from tomthumb.scenarios import load
+from tomthumb.types import Scenario, Trace
+
+LOGS = {
+    "lost_in_the_woods": "{}/utias_lost_in_the_woods",
+    "lost_in_the_woods, 2 m": "lost_in_the_woods:{}/utias_lost_in_the_woods?r_max=2",
+    "car_park": "{}/car_park",
+    "car_park, our detector": "{}/car_park?detections=raw",
+    "victoria_park": "{}/victoria_park",
+    "victoria_park, our detector": "{}/victoria_park?detections=raw",
+    "mrclam 7, robot 1": "mrclam:{}/utias_mrclam?robot=1",
+    "mrclam 7, robot 2": "mrclam:{}/utias_mrclam?robot=2",
+    "mrclam 7, robot 3": "mrclam:{}/utias_mrclam?robot=3",
+    "mrclam 7, robot 4": "mrclam:{}/utias_mrclam?robot=4",
+    "mrclam 7, robot 5": "mrclam:{}/utias_mrclam?robot=5",
+    "dlr": "{}/dlr_spatial_cognition",
+    "city_trees": "{}/city_trees_10000",
+    "slsjf 535": "{}/slsjf_simulated",
+    "freiburg": "{}/freiburg_slam_course",
+    "cones Testing4_9": "{}/fs_driverless_prom_ntua?log=Testing4_9",
+}
+BEGIN, END = "<!-- table: benchmarks/logs_table.py -->", "<!-- end of table -->"
+HEAD = "| log | associator | match rate % | duplicates | landmarks | ATE m | GPS m | x real time | failure |"
+
+
+def measure(scenario: Scenario, associator: str, seed: int) -> dict[str, Any]:
+    """One run: what the table tells of it."""
+    start = time.process_time()
+    trace = tomthumb.run(scenario, associator=associator, seed=seed)
+    cpu = time.process_time() - start
+    found = tomthumb.evaluate(trace, scenario)
+    keys = ("match_rate", "duplicates", "landmarks", "ate_m", "failure")
+    row = {key: found.get(key) for key in keys}
+    row["gps_m"] = gps_error(trace, scenario)
+    row["real_time"] = float(trace.t[-1] - trace.t[0]) / cpu if len(trace.t) else None
+    return row
+
+
+def gps_error(trace: Trace, scenario: Scenario) -> float | None:
+    """RMS distance to GPS after alignment, where the log has fixes; those off by more than 10 m are jumps, left out."""
+    gps = scenario.info.get("gps")
+    if gps is None or len(trace.t) < 2:
+        return None
+    at = np.clip(np.searchsorted(trace.t, gps[:, 0]), 0, len(trace.t) - 1)
+    near = np.abs(trace.t[at] - gps[:, 0]) < 0.1
+    mine = np.array([scenario.sensor.frame(pose)[:2] for pose in trace.pose[at[near]]])
+    theirs = gps[near, 1:]
+    good = np.ones(len(mine), bool)
+    for _ in range(3):
+        error = np.linalg.norm(to_world(align(mine[good], theirs[good]), mine) - theirs, axis=1)
+        good = error < max(10.0, 2 * float(np.median(error)))
+    return float(np.sqrt(np.mean(error[good] ** 2)))
+
+
+def line(name: str, associator: str, row: Mapping[str, Any]) -> str:
+    """One row of the table."""
+
+    def number(key: str, form: str, scale: float = 1.0) -> str:
+        value = row.get(key)
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            return "–"
+        return format(value if form == "d" else value * scale, form)
+
+    cells = [
+        name, associator, number("match_rate", ".2f", 100.0), number("duplicates", "d"), number("landmarks", "d"),
+        number("ate_m", ".3f"), number("gps_m", ".2f"), number("real_time", ".1f"), str(row.get("failure") or ""),
+    ]  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", default=os.environ.get("TOMTHUMB_DATA", "../shared/data"))
+    parser.add_argument("--only", nargs="*", choices=list(LOGS))
+    parser.add_argument("--associators", default="oracle,nn,gnn,jcbb,stt")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args()
+    kept = json.loads(options.keep.read_text()) if options.keep and options.keep.exists() else {}
+    for name in options.only or LOGS:
+        scenario = load(LOGS[name].format(options.data))
+        labelled = bool((scenario.true_ids() >= 0).any())
+        for associator in options.associators.split(","):
+            key = f"{name}|{associator}"
+            if key in kept or (associator == "oracle" and not labelled):
+                continue
+            kept[key] = measure(scenario, associator, options.seed)
+            print(line(name, associator, kept[key]), flush=True)
+            if options.keep:
+                options.keep.write_text(json.dumps(kept, indent=1))
+    if options.write:
+        write(options.write, kept)
+
+
+def write(document: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
+    """Put the rows between the marks of a document, in the order of LOGS."""
+    order = sorted(kept, key=lambda key: list(LOGS).index(key.split("|")[0]))
+    rows = [line(*key.split("|"), kept[key]) for key in order]
+    text = document.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    after = rest.partition(END)[2]
+    table = "\n".join([BEGIN, "", HEAD, "|" + "---|" * 9, *rows, "", END])
+    document.write_text(before + table + after, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

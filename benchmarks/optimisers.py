@@ -1,7 +1,8 @@
 """`tomthumb.minimize` beside well-kept optimisers on COCO's bbob suite, as data profiles.
 
     pip install "tomthumb[bench-optimize]"
-    python benchmarks/optimisers.py --out benchmarks/results/optimisers.csv --figure docs/figures/optimisers.png
+    python benchmarks/optimisers.py --figure docs/figures/optimisers.png
+    python benchmarks/optimisers.py --ablate --instances 11-14 --dimensions 2,5 --out benchmarks/results/ablation.csv
 
 24 functions, dimensions 2 to 20, a budget of evaluations a dimension. A row of the CSV is one run: evaluations needed
 to come within each precision of the known optimum, empty where it never did. Everybody gets the same box [-5, 5]^n and
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from tomthumb.optimize import minimize
+from tomthumb.optimize import PARTS, minimize
 
 PRECISIONS = [10.0**k for k in (2, 1, 0, -1, -2, -3, -4, -5, -6, -7, -8)]
 FUNCTIONS = range(1, 25)
@@ -110,8 +111,10 @@ def run_random(f: Recorder, n: int, seed: int) -> None:
         f(rng.uniform(-5.0, 5.0, n))
 
 
-OPTIMISERS: dict[str, Callable[[Recorder, int, int], None]] = {
-    "tomthumb.minimize": run_tom_thumb,
+OURS = "tomthumb.minimize"
+Runs = dict[str, Callable[[Recorder, int, int], None]]
+OPTIMISERS: Runs = {
+    OURS: run_tom_thumb,
     "CMA-ES (cma, BIPOP)": run_cma,
     "differential evolution (scipy)": run_evolution,
     "dual annealing (scipy)": run_annealing,
@@ -120,7 +123,19 @@ OPTIMISERS: dict[str, Callable[[Recorder, int, int], None]] = {
 }
 
 
-def measure(name: str, function: int, n: int, instance: int, budget: int) -> list[int]:
+def without(part: str) -> Callable[[Recorder, int, int], None]:
+    """Ours with a part of the tale left out."""
+
+    def run(f: Recorder, n: int, seed: int) -> None:
+        minimize(f, [(-5.0, 5.0)] * n, rng=seed, max_evaluations=f.budget, without=(part,))
+
+    return run
+
+
+ABLATIONS = {OURS: run_tom_thumb} | {f"without {part}": without(part) for part in PARTS}
+
+
+def measure(run: Callable[[Recorder, int, int], None], function: int, n: int, instance: int, budget: int) -> list[int]:
     """Evaluations to each precision, 0 for never."""
     import cocoex
 
@@ -128,11 +143,11 @@ def measure(name: str, function: int, n: int, instance: int, budget: int) -> lis
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the libraries' own, about budgets and divisions
         with suppress(Enough):  # how every run ends
-            OPTIMISERS[name](recorder, n, 100 * function + instance)
+            run(recorder, n, 100 * function + instance)
     return recorder.hits
 
 
-def sweep(dimensions: list[int], instances: int, budget: int, out: Path) -> None:
+def sweep(runs: Runs, dimensions: list[int], instances: range, budget: int, out: Path) -> None:
     """All runs into a CSV, a line at a time; runs already there are not repeated."""
     done = {(r["optimiser"], int(r["function"]), int(r["n"]), int(r["instance"])) for r in read(out)}
     fresh = not out.exists()
@@ -141,9 +156,9 @@ def sweep(dimensions: list[int], instances: int, budget: int, out: Path) -> None
         writer = csv.writer(file)
         if fresh:
             writer.writerow(["optimiser", "function", "n", "instance", "budget", *(f"{p:g}" for p in PRECISIONS)])
-        for n, instance, function, name in product(dimensions, range(1, instances + 1), FUNCTIONS, OPTIMISERS):
+        for n, instance, function, name in product(dimensions, instances, FUNCTIONS, runs):
             if (name, function, n, instance) not in done:
-                hits = measure(name, function, n, instance, budget)
+                hits = measure(runs[name], function, n, instance, budget)
                 writer.writerow([name, function, n, instance, budget, *(h or "" for h in hits)])
                 file.flush()
 
@@ -186,13 +201,13 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
     plt.close(figure)
 
 
-def table(rows: list[dict[str, str]]) -> str:
+def table(runs: Runs, rows: list[dict[str, str]]) -> str:
     """Share of targets reached with the whole budget: by dimension and by group of functions, in Markdown."""
     dimensions = sorted({int(r["n"]) for r in rows})
     budget = np.array([max(float(r["budget"]) for r in rows)])
     heads = [*(f"n = {n}" for n in dimensions), *GROUPS]
     lines = ["| optimiser | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
-    for name in OPTIMISERS:
+    for name in runs:
         own = [r for r in rows if r["optimiser"] == name]
         parts = [[r for r in own if int(r["n"]) == n] for n in dimensions]
         parts += [[r for r in own if int(r["function"]) in group] for group in GROUPS.values()]
@@ -200,13 +215,13 @@ def table(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def differences(rows: list[dict[str, str]]) -> str:
+def differences(runs: Runs, rows: list[dict[str, str]]) -> str:
     """Ours minus each other in points of targets reached, with 95 % bootstrap intervals over the functions."""
     shares = {}
-    for name in OPTIMISERS:
+    for name in runs:
         own = [[r for r in rows if r["optimiser"] == name and int(r["function"]) == f] for f in FUNCTIONS]
         shares[name] = np.array([np.mean([bool(r[f"{p:g}"]) for r in part for p in PRECISIONS]) for part in own])
-    ours, rng, lines = shares.pop("tomthumb.minimize"), np.random.default_rng(0), []
+    ours, rng, lines = shares.pop(OURS), np.random.default_rng(0), []
     for name, theirs in shares.items():
         gaps = 100 * (ours - theirs)
         low, high = np.quantile(gaps[rng.integers(0, len(gaps), (5000, len(gaps)))].mean(axis=1), (0.025, 0.975))
@@ -218,15 +233,18 @@ def main() -> None:
     """Run what is missing, then the table on stdout and the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dimensions", default="2,5,10,20")
-    parser.add_argument("--instances", type=int, default=3)
+    parser.add_argument("--instances", default="1-3", help="first-last; for tuning others than for the comparison")
+    parser.add_argument("--ablate", action="store_true", help="ours with each part left out, instead of the others")
     parser.add_argument("--budget", type=int, default=500, help="evaluations a dimension")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/optimisers.csv"))
     parser.add_argument("--figure", type=Path)
     given = parser.parse_args()
-    sweep([int(n) for n in given.dimensions.split(",")], given.instances, given.budget, given.out)
+    first, _, last = given.instances.partition("-")
+    instances, runs = range(int(first), int(last or first) + 1), ABLATIONS if given.ablate else OPTIMISERS
+    sweep(runs, [int(n) for n in given.dimensions.split(",")], instances, given.budget, given.out)
     rows = read(given.out)
-    print(table(rows))
-    print(differences(rows))
+    print(table(runs, rows))
+    print(differences(runs, rows))
     if given.figure:
         draw(rows, given.figure)
 

@@ -16,18 +16,19 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import OptimizeResult
 
-from tomthumb.errors import TomThumbError
+from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.tale.levy import pareto_lengths
 from tomthumb.types import Array
 
 Objective = Callable[[Array], float]
 CHILDREN = 8  # Tom and his seven brothers
+PARTS = ("ogre", "flights", "boots")
 
 
 def minimize(
@@ -38,6 +39,7 @@ def minimize(
     target: float = -math.inf,
     x0: Sequence[float] | Array | None = None,
     lam: float = 2.0,
+    without: Collection[str] = (),
 ) -> OptimizeResult:
     """Look for the least value of `f` within `bounds`; same generator, same result.
 
@@ -49,22 +51,27 @@ def minimize(
         target: stop as soon as a value is at most this (the king's INFINITY).
         x0: where the first walk begins; None is a random place.
         lam: exponent of the Lévy flights between basins, > 1.
+        without: parts of the tale to leave out, to see what they are worth: "ogre" (walks run again into basins that
+            are known), "flights" (new walks on foot begin anywhere), "boots" (the family never grows).
 
     Returns:
         scipy's OptimizeResult: x (n,), fun, nfev, nit (generations), success (whether the target was met, or, without
         one, that the budget was used), message, and `basins`, the floors found as (x, fun) in the order of the walks.
 
     Raises:
-        TomThumbError: bounds, x0, lam or budget that make no sense.
+        TomThumbError: bounds, x0, lam or budget that make no sense. UnknownName: no such part.
     """
     low, high = _box(bounds)
     if lam <= 1.0:
         raise TomThumbError(f"the Lévy exponent between basins is > 1, not {lam}")
+    for part in without:
+        if part not in PARTS:
+            raise UnknownName("part of the tale", part, PARTS)
     budget = 1000 * len(low) if max_evaluations is None else int(max_evaluations)
     if budget < 1:
         raise TomThumbError(f"the budget is at least one evaluation, not {budget}")
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(0 if rng is None else rng)
-    search = _Search(f, low, high, generator, budget, target, lam)
+    search = _Search(f, low, high, generator, budget, target, lam, frozenset(without))
     start = generator.random(len(low)) if x0 is None else _inside(x0, low, high)
     _wander_basins(search, start)
     return _result(search)
@@ -81,11 +88,13 @@ class _Search:
     budget: int
     target: float
     lam: float
+    without: frozenset[str]
     evaluations: int = 0
     generations: int = 0
     best: Array = field(default_factory=lambda: np.zeros(0))
     best_value: float = math.inf
     basins: list[tuple[Array, float]] = field(default_factory=list)
+    ogres: list[Array] = field(default_factory=list)
 
     @property
     def over(self) -> bool:
@@ -164,7 +173,7 @@ def _wander_basins(search: _Search, start: Array) -> None:
         children = family * 2**boots if booted else family
         _walk(search, _begin(start, sigma), children)
         spent[booted] += search.evaluations - before
-        booted = spent[True] <= spent[False]
+        booted = spent[True] <= spent[False] and "boots" not in search.without
         boots += booted
         start, sigma = _set_out(search, booted)
 
@@ -172,7 +181,7 @@ def _wander_basins(search: _Search, start: Array) -> None:
 def _set_out(search: _Search, booted: bool) -> tuple[Array, float]:
     """Where the parents lead, and the first step size: far with the boots on, a Lévy flight from home on foot."""
     n = search.best.size
-    if booted:
+    if booted or "flights" in search.without:
         return search.rng.random(n), 0.25
     length = min(1.0, float(pareto_lengths(search.rng, search.lam, 1, 0.01)[0]))
     heading = search.rng.standard_normal(n)
@@ -202,7 +211,10 @@ def _walk(search: _Search, walk: _Walk, children: int) -> None:
             floor, place = float(values[order[0]]), _mirrored(walk.mean + walk.sigma * steps[order[0]])
         _learn(walk, steps[order], rates)
         history.append(float(values[order[0]]))
-        if _disappeared(walk, history, values, patience) or _at_an_ogre(search, walk):
+        if _at_an_ogre(search, walk):
+            return
+        if _disappeared(walk, history, values, patience):
+            search.ogres.append(place)
             break
     if math.isfinite(floor):
         search.basins.append((place, floor))
@@ -271,18 +283,15 @@ def _disappeared(walk: _Walk, history: list[float], values: Array, patience: int
 
 
 def _at_an_ogre(search: _Search, walk: _Walk) -> bool:
-    """Whether this walk runs down into a basin whose floor is known: Tom is within a few steps of it, and near enough.
+    """Whether this walk runs down into a basin whose floor was reached before: an ogre's house within a few steps.
 
     Only a walk whose steps have become small against the distance between basins can tell.
     """
     reach = walk.sigma * float(walk.D.max())
-    if reach > 1e-3 or walk.age % 10:
+    if reach > 1e-3 or walk.age % 10 or "ogre" in search.without:
         return False
     here = _mirrored(walk.mean)
-    return any(
-        np.abs(here - place).max() < 5.0 * reach and value > search.best_value + 1e-9 * abs(search.best_value)
-        for place, value in search.basins
-    )
+    return any(float(np.abs(here - house).max()) < 5.0 * reach for house in search.ogres)
 
 
 def _mirrored(place: Array) -> Array:

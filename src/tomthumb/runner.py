@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tomthumb.branches import Branch
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.lifecycle import LifeCycle
-from tomthumb.slam import Branch, Slam
+from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
 
 Settings = Mapping[str, Mapping[str, Any]]

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from tomthumb import lifecycle
+from tomthumb.branches import Branch, Scan
 from tomthumb.checks import check_step
 from tomthumb.errors import Diverged
 from tomthumb.kernels.gates import innovations, paired_distances
@@ -38,34 +39,8 @@ from tomthumb.types import (
 
 TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
 STILL = 1e-4  # m: a scan at rest still counts for that much
+HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
-
-
-@dataclass(slots=True)
-class Branch:
-    """One history of associations: its belief, what its landmarks have lived through, and how likely it is."""
-
-    belief: Any
-    ledger: Ledger
-    crumbs: set[int] = field(default_factory=set)
-    log_weight: float = 0.0
-    history: tuple[Any, Ids, Array] | None = None  # (earlier history, ids, pose): shared between branches
-    ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
-    paired: Ids = field(default_factory=lambda: np.empty(0, np.int64))
-    events: tuple[Any, str, int, int, int] | None = None  # (earlier events, kind, id, other id, step)
-
-
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """One scan three times over: as it came, with honest noise (for gates), and with the noise of what is news in it."""
-
-    raw: Observations
-    honest: Observations
-    news: Observations
-    serials: Ids
-
-    def __len__(self) -> int:
-        return len(self.serials)
 
 
 class Slam:
@@ -190,8 +165,29 @@ class Slam:
         for branch, predictions, matches, _ in children:
             branch.log_weight -= top
             self._settle(branch, scan, predictions, matches)
-        self.branches = [c[0] for c in children]
+        best = children[0][0]
+        self.clutter.count += float(np.count_nonzero(best.paired < 0))
+        self.clutter.scans += 1.0
+        self.branches = self._apart([c[0] for c in children])
         return spent, children[0][3]
+
+    def _apart(self, branches: list[Branch]) -> list[Branch]:
+        """Branches, best first, without those that have come to agree with a better one, or fallen `HOPELESS` behind.
+
+        They agree when the last scan's names and the pose (within a tenth of its standard deviation) are the same.
+        """
+        kept = branches[:1]
+        for branch in branches[1:]:
+            pose, cov = self.estimator.pose(branch.belief)
+            close = 0.1 * np.sqrt(np.maximum(np.diag(cov), 1e-12))
+            same = [
+                np.array_equal(branch.ids, other.ids)
+                and bool((np.abs(pose - self.estimator.pose(other.belief)[0]) < close).all())
+                for other in kept
+            ]
+            if branch.log_weight > -HOPELESS and not any(same):
+                kept.append(branch)
+        return kept
 
     def _children(self, branch: Branch, scan: Scan) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
         """The branch with each hypothesis of its associator. Many predictions (particles) take the best one each."""
@@ -246,8 +242,6 @@ class Slam:
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
             self._merge(branch, predictions, set(ids[hit].tolist()))
-        self.clutter.count += float(np.count_nonzero(~hit))
-        self.clutter.scans += 1.0
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
         who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None

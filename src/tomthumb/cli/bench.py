@@ -121,13 +121,18 @@ def _run(
         progress.TimeRemainingColumn(),
         progress.TextColumn("{task.fields[failed]} failed"),
     )
-    with progress.Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task(grid.name, total=None, failed=0)
+    bar = progress.Progress(*columns, console=Console(stderr=True), disable=quiet)
+    task = bar.add_task(grid.name, total=None, failed=0)
 
-        def show(rows: int, planned: int, failed: int) -> None:
-            bar.update(task, completed=rows, total=planned, failed=failed)
+    def show(rows: int, planned: int, failed: int) -> None:
+        bar.start()  # first called when the grid is found to hold together
+        bar.update(task, completed=rows, total=planned, failed=failed)
 
+    try:
         tally = bench(grid, folder, where, shard=part, retry=retry, progress=show)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
     return _told(tally, where, folder)
 
 

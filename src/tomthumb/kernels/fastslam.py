@@ -35,7 +35,7 @@ def near(pose: Array, box: Array, live: Array, reach: float) -> Array:
 
 @jit
 def to_body(pose: Array, slots: Array, table: Array, mean: Array, cov: Array, has: Array) -> tuple[Array, Array, Array]:
-    """Landmarks `slots` (M, c) in the robots' frames: points (M, c, 2), covariances (M, c, 2, 2), which exist (M, c)."""
+    """Landmarks `slots` (M, c) in the robots' frames: points (M, c, 2), covariances, which exist (M, c)."""
     M, c = slots.shape
     points, spread, there = np.ones((M, c, 2)), np.zeros((M, c, 2, 2)), np.zeros((M, c), np.bool_)
     for p in range(M):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -65,14 +65,8 @@ def cloister(
     """
     _check(laps, teach, people, odometry_noise, odometry, sensor_noise, clutter, detect, spacing, jitter)
     streams = Streams.of(rng)
-    eye = replace(
-        EYE,
-        range_share=EYE.range_share * sensor_noise,
-        bearing_std=EYE.bearing_std * sensor_noise,
-        detect=detect,
-        clutter=clutter,
-        occlusion=occlusion,
-    )
+    noise: dict[str, Any] = {name: getattr(EYE, name) * sensor_noise for name in ("range_share", "bearing_std")}
+    eye = replace(EYE, **noise, detect=detect, clutter=clutter, occlusion=occlusion)
     motions, stds = _motions(laps)
     poses = path(np.zeros(3), list(motions))
     landmarks = posts(spacing)
@@ -80,24 +74,24 @@ def cloister(
     crowd = walk(people, len(poses), streams.people)
     seen = scans(eye, poses, landmarks, streams, crowd, _edges(len(poses)))
     controls = _controls(motions, stds, odometry, odometry_noise, streams.odometry)
-    steps = [
-        Step(float(k), control, z, Truth(pose, ids))
-        for k, (control, pose, (z, ids)) in enumerate(zip(controls, poses, seen, strict=True))
-    ]
-    sensor = Cartesian(
-        max_range=eye.max_range, fov=eye.fov, detect=min(detect, DETECT_CAP), clutter=eye.clutter_density
-    )
+    moments = enumerate(zip(controls, poses, seen, strict=True))
     return Scenario(
         name="cloister",
         motion=OdometryIncrement(std=_triple(MOVE_STD)),
-        sensor=sensor,
+        sensor=_sensor(eye),
         prior=Prior(np.zeros(3), np.zeros((3, 3))),
-        steps=steps,
+        steps=[Step(float(k), control, z, Truth(pose, ids)) for k, (control, pose, (z, ids)) in moments],
         landmarks=landmarks,
         score_from=max(1, teach * LAP),
         teach_steps=teach * LAP,
         info={"faithful": faithful, "lap_steps": LAP, "people": people},
     )
+
+
+def _sensor(eye: Eye) -> Cartesian:
+    """What the filter is told of the sensor: nothing of people."""
+    detect = min(eye.detect, DETECT_CAP)
+    return Cartesian(max_range=eye.max_range, fov=eye.fov, detect=detect, clutter=eye.clutter_density)
 
 
 def posts(spacing: float = 2.0) -> Array:

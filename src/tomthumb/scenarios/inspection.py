@@ -40,7 +40,8 @@ def info(scenario: Scenario) -> dict[str, Any]:
     Keys: name, steps, scans, duration_s, observations, observations_per_scan (mean, max), landmarks,
     observed_landmarks, spacing_m (min and median distance of a landmark to the next), spacing_in_sigma (the median, in
     standard deviations of a median observation), driven_m by odometry, dead_reckoning_m (mean, max, end, after_60_s),
-    max_range_m, fov_deg (of what was seen), truth (poses and labelled observations, as shares), clutter_share, classes.
+    max_range_m, fov_deg (of what was seen), truth (scans with a pose and labelled observations, as shares),
+    clutter_share, classes.
     """
     tally = _Tally()
     pose: Array | None = scenario.prior.pose
@@ -65,7 +66,7 @@ def info(scenario: Scenario) -> dict[str, Any]:
         "dead_reckoning_m": _drift(tally),
         "max_range_m": tally.reach,
         "fov_deg": math.degrees(tally.fov),
-        "truth": {"poses": tally.truth_poses / max(tally.steps, 1), "labelled": known / max(total, 1)},
+        "truth": {"poses": tally.truth_poses / max(tally.scans, 1), "labelled": known / max(total, 1)},
         "clutter_share": tally.ids.get(-1, 0) / known if known else None,
         "classes": sorted(tally.labels - {-1}) or None,
     }
@@ -80,7 +81,7 @@ def _count(tally: _Tally, scenario: Scenario, step: Step, pose: Array | None) ->
         tally.driven += math.hypot(delta[0], delta[1])
         pose = compose(pose, delta)
     if step.truth is not None and step.truth.pose is not None:
-        tally.truth_poses += 1
+        tally.truth_poses += step.observations is not None
         if pose is not None:
             tally.drift.append((step.t, float(np.hypot(*(pose - step.truth.pose)[:2]))))
     if step.observations is not None:

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -157,11 +158,9 @@ def _downloads(site: Path, rows: Rows, grid: Grid) -> str:
     """All rows as CSV, and as Parquet where that can be written; the grid."""
     names = ["rows.csv"]
     write_rows(site / "rows.csv", [dict(row) for row in rows])
-    try:
+    if find_spec("pyarrow") is not None:  # an extra
         write_rows(site / "rows.parquet", [dict(row) for row in rows])
         names.append("rows.parquet")
-    except TomThumbError:  # pyarrow is an extra
-        (site / "rows.parquet").unlink(missing_ok=True)
     if grid.text:
         (site / "grid.toml").write_text(grid.text, "utf-8")
         names.append("grid.toml")

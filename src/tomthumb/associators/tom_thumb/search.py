@@ -26,6 +26,7 @@ from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, perm
 from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
+from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
 
@@ -50,8 +51,11 @@ class TomThumb:
 
     gates: the first chooses the pose basin, the second completes it once two pairs are accepted. nodes: budget of the
     certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
-    budgets. brothers: hypotheses returned at most, `ambiguity` nats: how far behind the best they may be.
-    least: a pairing less probable than this is left unpaired.
+    budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
+    least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
+    (most probable hypothesis). samples: poses drawn in each basin to integrate the pose out, when a decision is not `sure`
+    or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
+    memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
     """
 
     gates: tuple[float, float] = (0.99, 1.0 - 1e-6)
@@ -70,14 +74,16 @@ class TomThumb:
     reach: float = 7.0
     sure: float = 0.98
     hard: float = 1.5
-    parts: dict[str, bool] = field(default_factory=dict)
+    memory: bool = False
+    lessons: LogMemory = field(default_factory=LogMemory, repr=False)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
         m, n = problem.shape
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
-        base, odds = base_gains(problem, None)
+        prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
+        base, odds = base_gains(problem, prior)
         near = window(problem.d2, self.gates[1])
         scene = rigid(problem, base, odds) if self._is_hard(near) else None
         if scene is not None:
@@ -87,7 +93,9 @@ class TomThumb:
         return self._decided(found, n, info, scene, rng)
 
     def learn(self, ids: Ids, t: float) -> None:
-        """Nothing yet."""
+        """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
+        if self.memory:
+            self.lessons.learn(ids, t)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations: pose basins matter."""
@@ -178,7 +186,13 @@ class TomThumb:
             p, none = sampled_marginals(found, scene, n, self.samples, float(chdtri(2, 1.0 - self.gates[1])), rng)
         match = best.match if self.decide == "map" else most_probable(p, none, self.least)
         chance = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
-        return [Association(match, 0.0, info, chance)]
+        first = Association(match, best.value, info, chance)
+        return [first, *self._brothers(found[1:], best.value, match)]
+
+    def _brothers(self, others: list[Basin], best: float, match: Ids) -> list[Association]:
+        """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
+        near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
+        return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
 
 
 def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, Array]:
