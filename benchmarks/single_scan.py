@@ -19,7 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scan_problems import CLASSES, CLOUD_CLASSES, Scan, scans
+from scan_problems import CLASSES, CLOUD_CLASSES, SECTOR_CLASSES, Scan, scans
 from threadpoolctl import threadpool_limits
 
 from tomthumb import registry
@@ -35,6 +35,7 @@ NO_LIMIT = 2**62
 GATES = (0.95, 0.99, 0.999, 0.9999)
 SECTOR_SIZES, CLOUD_SIZES = (5, 10, 20, 50, 100), (16, 32, 64)
 BEGIN, END = "<!-- single_scan: written by benchmarks/single_scan.py -->", "<!-- end of single_scan -->"
+SMALL = 20  # observations of a sector up to which the searches get the larger budget
 LEVELS = np.array([0.0, 0.5, 0.85, 0.95, 0.99, 1.0 + 1e-9])  # of confidence
 
 
@@ -213,24 +214,27 @@ def calibration(answers: list[tuple[Association, Scan]]) -> Iterator[str]:
 
 def report(args: argparse.Namespace) -> str:
     """The whole page between the markers."""
-    chosen = methods(args.methods, args.nodes)
-    warm_up(chosen)
+    warm_up(methods(args.methods, 1000))
     tables: Tables = {}
     optimum, answers = ["| class | size | proven by `map` | same L | not beaten |", "|---|---|---|---|---|"], []
     for kind in args.classes.split(","):
         for size in args.sizes or (CLOUD_SIZES if kind in CLOUD_CLASSES else SECTOR_SIZES):
             cell = scans(kind, size, args.count, args.seed)
+            chosen = methods(args.methods, args.exact if kind in SECTOR_CLASSES and size <= SMALL else args.nodes)
             table = {name: measure(m, cell) for name, m in chosen.items() if m[0] not in SLOW.get(kind, ())}
             tables[kind, size] = table
             print(
-                kind, size, {name: round(100 * outcome.right.mean(), 1) for name, outcome in table.items()}, flush=True
+                kind,
+                size,
+                {name: round(100 * float(outcome.right.mean()), 1) for name, outcome in table.items()},
+                flush=True,
             )
             if "map" in table and "stt" in table:
                 finished, same, unbeaten = optimum_reached(cell, table["map"])
                 optimum.append(f"| {kind} | {size} | {finished} of {len(cell)} | {same} | {unbeaten} |")
             if "stt" in table:
                 answers += zip(table["stt"].found, cell, strict=True)
-    return "\n".join(page(args, tables, list(chosen), optimum, answers))
+    return "\n".join(page(args, tables, list(methods(args.methods, 0)), optimum, answers))
 
 
 def page(
@@ -294,10 +298,11 @@ def main() -> None:
     cli.add_argument("--sizes", type=lambda text: [int(v) for v in text.split(",")])
     cli.add_argument("--methods", default="nn,gnn,singles,scnn,rjc,clique,jcbb,ipjc,map,stt")
     cli.add_argument("--nodes", type=int, default=20_000, help="budget of jcbb, ipjc and map (0: none)")
+    cli.add_argument("--exact", type=int, default=1_000_000, help="the same for sectors of up to 20 observations")
     cli.add_argument("--prefixes", type=int, help="only this, with so many problems")
     cli.add_argument("--write", type=Path, help="page with the markers that the tables stand between")
     args = cli.parse_args()
-    given = {key: getattr(args, key) for key in ("count", "seed", "classes", "sizes", "methods", "nodes")}
+    given = {key: getattr(args, key) for key in ("count", "seed", "classes", "sizes", "methods", "nodes", "exact")}
     told = {k: ",".join(map(str, v)) if isinstance(v, list) else v for k, v in given.items() if v != cli.get_default(k)}
     args.told = " ".join(f"--{k} {v}" for k, v in {"count": args.count, **told}.items())
     with threadpool_limits(1):

@@ -110,7 +110,7 @@ def test_posterior_d2_is_the_minimum_over_all_motions():
 
 
 def test_ipjc_is_jcbb_where_the_motion_is_small():
-    """Linear problems: the same chi2, so the same decisions (Olson and Li, section III)."""
+    """Linear problems: the same chi2, so the same decisions."""
     rng = np.random.default_rng(5)
     for _ in range(40):
         problem, _ = turned(rng, 5, 6, 0.1, metres=0.02)

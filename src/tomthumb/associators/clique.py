@@ -24,7 +24,7 @@ class PairwiseConsistency:
     `gate` only. Raises `TomThumbError` for observations that are not points of a plane.
 
     References: T. Bailey, PhD thesis, Sydney 2002 (correspondence graph); P. Lusk, K. Fathian, J. How, CLIPPER, ICRA
-    2021; M. Pavan, M. Pelillo, IEEE T-PAMI 29(1), 2007, eq. 17 (replicator dynamics).
+    2021; M. Pavan, M. Pelillo, IEEE T-PAMI 29(1), 2007 (replicator dynamics).
     """
 
     gate: float = 0.9999

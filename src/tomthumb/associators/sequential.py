@@ -65,7 +65,7 @@ class SequentialNearestNeighbour:
 
     `order`: "given", or "nearest", the observation whose nearest landmark is nearest at first goes first.
 
-    References: J. Neira, J. D. Tardos, IEEE T-RA 17(6), 2001, section III (sequential compatibility nearest neighbour).
+    References: J. Neira, J. D. Tardos, IEEE T-RA 17(6), 2001 (sequential compatibility nearest neighbour).
     """
 
     gate: float = 0.99

@@ -16,7 +16,7 @@ from tomthumb.types import Association, AssociationProblem, Ids
 class Singles:
     """Pairs i and j when j is the only landmark within `gate` of i, and i the only observation within it of j.
 
-    References: J. Neira, J. D. Tardos, Data association for SLAM, exercise SINGLES of the SLAM summer school, 2006.
+    References: J. Neira, J. D. Tardos, Data association for SLAM, exercise SINGLES of the SLAM summer schools.
     """
 
     gate: float = 0.99
