@@ -21,7 +21,7 @@ MAY = {
     "estimators": BASE | {"models"},  # for the sensitivity to calibration states only
     "associators": BASE | {"tale"},
     "lifecycle": BASE,
-    "slam": BASE | {"lifecycle", "checks", "sensing"},
+    "slam": BASE | {"branches", "lifecycle", "checks", "sensing"},
     "metrics": BASE,
 }
 

@@ -95,9 +95,8 @@ def _array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
 
 def _observed(z: Any, R: Any) -> tuple[Array, Array]:
     seen = _array("z", z, (None, 2))
-    noise = np.asarray(R, dtype=float)
-    if noise.ndim == 2:
-        noise = np.tile(_array("R", R, (2, 2)), (len(seen), 1, 1))
+    if np.ndim(R) == 2:
+        noise: Array = np.tile(_array("R", R, (2, 2)), (len(seen), 1, 1))
     else:
         noise = _array("R", R, (len(seen), 2, 2))
     _definite("R", noise)

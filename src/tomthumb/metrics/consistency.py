@@ -30,13 +30,17 @@ def chi2_band(dof: float, runs: int = 1, level: float = 0.95) -> tuple[float, fl
     return float(chdtri(dof * runs, 1.0 - tail)) / runs, float(chdtri(dof * runs, tail)) / runs
 
 
+SINGULAR = 1e-10  # least over greatest eigenvalue: a robot that starts exactly known has no error to speak of sideways
+
+
 def nees(pose: Array, cov: Array, truth: Array) -> Array:
     """Squared errors of the poses (K, 3) by their own covariances (K, 3, 3); NaN where either is not to be had."""
     error = pose - truth
     error[:, 2] = wrap(error[:, 2])
     values = np.full(len(pose), np.nan)
     finite = np.flatnonzero(np.isfinite(error).all(1) & np.isfinite(cov).all((1, 2)))
-    usable = finite[np.linalg.eigvalsh(cov[finite])[:, 0] > 0.0]
+    spread = np.linalg.eigvalsh(cov[finite])
+    usable = finite[spread[:, 0] > SINGULAR * spread[:, 2]]
     values[usable] = np.einsum("ki,ki->k", error[usable], np.linalg.solve(cov[usable], error[usable, :, None])[..., 0])
     return values
 
