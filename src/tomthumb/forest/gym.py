@@ -32,6 +32,9 @@ _EYES = np.ones((3, 3), np.bool_)
 Observation = dict[str, Any]
 
 
+RENDER_MODES = ("ansi", "rgb_array")
+
+
 class ForestEnv(gymnasium.Env[Observation, np.int64]):
     """Tom Thumb alone in the forest.
 
@@ -47,15 +50,13 @@ class ForestEnv(gymnasium.Env[Observation, np.int64]):
         render_mode: "ansi", "rgb_array" or None.
     """
 
-    metadata = {"render_modes": ["ansi", "rgb_array"], "render_fps": 8}  # noqa: RUF012 - Gymnasium's own convention
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 8}  # noqa: RUF012 - Gymnasium's own convention
 
     def __init__(
         self, size: int = 24, mountains: float = 0.05, rules: Rules | None = None, render_mode: str | None = None
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise TomThumbError(
-                f"render_mode is one of {', '.join(self.metadata['render_modes'])}, not {render_mode!r}"
-            )
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise TomThumbError(f"render_mode is one of {', '.join(RENDER_MODES)}, not {render_mode!r}")
         self.size, self.mountains, self.rules = size, mountains, rules or Rules(stones="never")
         self.render_mode = render_mode
         self.action_space = spaces.Discrete(16)

@@ -264,21 +264,34 @@ def refine(
         match = _assign(at, spread, q, R, points, D, base, odds, start, columns, gate2, n)
         for _ in range(2):
             M, g = _normal(at, q, R, points, D, match, prior_inverse)
-            change = np.linalg.solve(M, g)
-            at = at + change
+            at = at + np.linalg.solve(M, g)
         spread = np.linalg.inv(M)
+    at, M, value = fit(at, match, q, R, points, D, base, odds, prior_inverse, 1)
+    return at, M, match, value
+
+
+@jit
+def fit(
+    pose: Array, match: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
+    prior_inverse: Array, rounds: int,
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """The most probable pose of a given match by Gauss-Newton from `pose`, M there, and L in its Laplace form."""
+    at = pose.copy()
+    for _ in range(rounds):
+        M, g = _normal(at, q, R, points, D, match, prior_inverse)
+        at = at + np.linalg.solve(M, g)
     M, g = _normal(at, q, R, points, D, match, prior_inverse)
     value = -0.5 * _quadratic(prior_inverse, at[0], at[1], at[2])
     value += 0.5 * (math.log(np.linalg.det(prior_inverse)) - math.log(np.linalg.det(M)))
     c, s = math.cos(at[2]), math.sin(at[2])
-    for i in range(m):
+    for i in range(q.shape[0]):
         j = match[i]
         if j >= 0:
             u = q[i, 0] - c * points[j, 0] + s * points[j, 1] - at[0]
             v = q[i, 1] - s * points[j, 0] - c * points[j, 1] - at[1]
             d2, det = _distance(u, v, R[i], D[j])
             value += base[i] + odds[j] - 0.5 * (d2 + math.log(det)) - LOG_2PI
-    return at, M, match, value
+    return at, M, value
 
 
 @jit

@@ -29,6 +29,9 @@ from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
+SMALL = 30  # observations up to which the certificate is tried first
+POLISHED = 4  # basins, best first, whose assignment is made optimal
+
 
 @dataclass(frozen=True, slots=True)
 class Basin:
@@ -53,7 +56,7 @@ class TomThumb:
     certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
     budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
-    (most probable hypothesis). samples: poses drawn in each basin to integrate the pose out, when a decision is not `sure`
+    (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
     memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
     """
@@ -70,7 +73,7 @@ class TomThumb:
     ambiguity: float = 3.0
     least: float = 0.0
     decide: str = "marginal"
-    samples: int = 40
+    samples: int = 48
     reach: float = 7.0
     sure: float = 0.98
     hard: float = 1.5
@@ -85,10 +88,16 @@ class TomThumb:
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         base, odds = base_gains(problem, prior)
         near = window(problem.d2, self.gates[1])
+        found: list[Basin] = []
+        info: dict[str, Any] = {"proof": "truncated"}
+        if self._is_small(near):
+            found, info = self._within(problem, near, base[:, None] + odds[None], rng)
         scene = rigid(problem, base, odds) if self._is_hard(near) else None
-        if scene is not None:
+        if scene is not None and info["proof"] != "optimal":
             found, info = self._anchored(scene, near)
-        else:
+        elif scene is not None:
+            found = [self._at_pose(scene, b.match, near) for b in found]
+        if not found:
             found, info = self._within(problem, near, base[:, None] + odds[None], rng)
         return self._decided(found, n, info, scene, rng)
 
@@ -98,8 +107,13 @@ class TomThumb:
             self.lessons.learn(ids, t)
 
     def _is_hard(self, near: Window) -> bool:
-        """More than one candidate for most observations: pose basins matter."""
-        return len(near.counts) >= 3 and float(near.counts.mean()) > self.hard
+        """More than one candidate for most observations, or a large scan: pose basins matter."""
+        m = len(near.counts)
+        return m >= 3 and (float(near.counts.mean()) > self.hard or m > SMALL)
+
+    def _is_small(self, near: Window) -> bool:
+        """Small enough for the certificate: it comes first there, and settles most scans."""
+        return len(near.counts) <= SMALL and float(near.counts.mean()) <= 8.0
 
     # --- 2: anchored flights ------------------------------------------------------------------------------------
 
@@ -128,7 +142,8 @@ class TomThumb:
             Xi_inverse, limit, cell, *grid, apart, self.basins, self.poses,
         )  # fmt: skip
         poses = np.concatenate([np.zeros((1, 3)), poses[np.isfinite(scores) & (scores > scores[0] - 15.0)]])
-        found = [self._basin(s, pose, cell, grid, Xi_inverse) for pose in poses]
+        found = distinct([self._basin(s, pose, cell, grid, Xi_inverse) for pose in poses], self.reach)
+        found = [*(untangled(s, b, Xi_inverse) for b in found[:POLISHED]), *found[POLISHED:]]
         return found, {"poses": tried, "anchors": used, "proof": "truncated"}
 
     def _basin(self, s: Rigid, pose: Array, cell: float, grid: Any, Xi_inverse: Array) -> Basin:
@@ -139,6 +154,14 @@ class TomThumb:
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
         gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
+        return Basin(match, value, gains, near, at, M)
+
+    def _at_pose(self, s: Rigid, match: Ids, near: Window) -> Basin:
+        """A hypothesis from the full covariance, with the pose that it implies."""
+        gate2 = float(chdtri(2, 1.0 - self.gates[1]))
+        args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+        at, M, value = flights.fit(np.zeros(3), match, *args, np.linalg.inv(s.Xi), 4)
+        gains = flights.left_out_gains(at, M, match, *args, near.start, near.columns, gate2)
         return Basin(match, value, gains, near, at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
@@ -163,7 +186,7 @@ class TomThumb:
             pool, pool_value,
         )  # fmt: skip
         flown = 0
-        if not proven and self.flights:
+        if not proven and self.flights and not self._is_hard(near):
             lengths = power_law(self.exponent, m).draw(rng, self.flights)
             pool[0], pool_value[0], flown = posterior.ruin(
                 pool[0], pool_value[0], *args, gate2, lengths, rng.random((self.flights, 2)), self.patience
@@ -183,7 +206,8 @@ class TomThumb:
         weights = np.exp(np.array([b.value for b in found]) - best.value)
         p, none = mixed_marginals(found, weights / weights.sum(), n)
         if scene is not None and self.samples and (len(found) > 1 or np.maximum(p.max(1), none).min() < self.sure):
-            p, none = sampled_marginals(found, scene, n, self.samples, float(chdtri(2, 1.0 - self.gates[1])), rng)
+            share = max(8, self.samples // len(found))
+            p, none = sampled_marginals(found, scene, n, share, float(chdtri(2, 1.0 - self.gates[1])), rng)
         match = best.match if self.decide == "map" else most_probable(p, none, self.least)
         chance = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
         first = Association(match, best.value, info, chance)
@@ -193,6 +217,39 @@ class TomThumb:
         """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
         near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
         return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
+
+
+def untangled(s: Rigid, basin: Basin, Xi_inverse: Array) -> Basin:
+    """The basin with the best assignment at its pose, and the pose of that, until it stays: greedy leaves pairs swapped."""
+    if basin.pose is None or basin.M is None:
+        return basin
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+    still, near, pose = np.zeros((3, 3)), basin.window, basin.pose
+    best, M = basin, basin.M
+    for _ in range(3):
+        gains = flights.pose_gains(pose, still, *args, near.start, near.columns, np.inf)
+        match = assigned(gains, near)
+        if np.array_equal(match, best.match):
+            break
+        pose, M, value = flights.fit(pose, match, *args, Xi_inverse, 2)
+        if value <= best.value:
+            break
+        left = flights.left_out_gains(pose, M, match, *args, near.start, near.columns, np.inf)
+        best = Basin(match, value, left, near, pose, M)
+    return best
+
+
+def assigned(gains: Array, near: Window) -> Ids:
+    """The one-to-one match of greatest total gain over the listed pairings; a pairing without gain is left out."""
+    m = len(near.counts)
+    names, place = np.unique(near.columns, return_inverse=True)
+    table = np.zeros((m, len(names)))
+    table[np.repeat(np.arange(m), near.counts), place] = np.maximum(gains, 0.0)
+    rows, picked = linear_sum_assignment(table, maximize=True)
+    match = np.full(m, -1, np.int64)
+    good = table[rows, picked] > 0.0
+    match[rows[good]] = names[picked[good]]
+    return match
 
 
 def anchor_pairs(q: Array, counts: Ids, noise: Array, most: int) -> tuple[Ids, Array]:
