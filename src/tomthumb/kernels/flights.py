@@ -44,17 +44,9 @@ def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
 
 @jit
 def best_near(
-    x: float,
-    y: float,
-    W: Array,
-    points: Array,
-    worth: Array,
-    cell: float,
-    low: Array,
-    shape: Array,
-    start: Array,
+    x: float, y: float, W: Array, points: Array, worth: Array, cell: float, low: Array, shape: Array, start: Array,
     index: Array,
-) -> float:
+) -> float:  # fmt: skip
     """max over the points in the 3 x 3 window around (x, y) of worth_j - d2 / 2, d2 by the inverse covariance W (3,)."""
     cx, cy = math.floor((x - low[0]) / cell), math.floor((y - low[1]) / cell)
     best = -np.inf
@@ -73,26 +65,10 @@ def best_near(
 
 @jit
 def explore(
-    q: Array,
-    W: Array,
-    gain: Array,
-    anchors: Array,
-    tolerance: Array,
-    start: Array,
-    columns: Array,
-    points: Array,
-    worth: Array,
-    prior_inverse: Array,
-    prior_gate2: float,
-    cell: float,
-    low: Array,
-    shape: Array,
-    cells: Array,
-    index: Array,
-    apart: Array,
-    basins: int,
-    budget: int,
-) -> tuple[Array, Array, int, int]:
+    q: Array, W: Array, gain: Array, anchors: Array, tolerance: Array, start: Array, columns: Array, points: Array,
+    worth: Array, prior_inverse: Array, prior_gate2: float, cell: float, low: Array, shape: Array, cells: Array,
+    index: Array, apart: Array, basins: int, budget: int,
+) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Poses from all anchors' pairs of candidates, voted on by all observations; the best distinct ones, best first.
 
     q (m, 2) observations; W (m, 3) inverse covariances for the vote; gain (m,) what a perfect vote adds; anchors (a, 2)
@@ -239,19 +215,9 @@ def local_candidates(
 
 @jit
 def refine(
-    pose: Array,
-    q: Array,
-    R: Array,
-    points: Array,
-    D: Array,
-    base: Array,
-    odds: Array,
-    prior_inverse: Array,
-    start: Array,
-    columns: Array,
-    gate2: float,
-    rounds: int,
-) -> tuple[Array, Array, Array, float]:
+    pose: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array,
+    start: Array, columns: Array, gate2: float, rounds: int,
+) -> tuple[Array, Array, Array, float]:  # fmt: skip
     """Assign greedily at the pose, move the pose by Gauss-Newton, again; L of the end in its nonlinear (Laplace) form.
 
     L = sum [base_i + odds_j - r' V^-1 r / 2 - log det(2 pi V) / 2] - xi' P^-1 xi / 2 - log det(P M) / 2, V = R_i + D_j,
