@@ -4,7 +4,7 @@
     1  quick path  a scan without ambiguity is done at once (branch and bound then takes one node an observation)
     2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
-    4  ogre: a basin that lost is not entered again;  boots: stagnation makes the ruins larger
+    4  boots: stagnation makes the ruins larger
     5  certificate: branch and bound from the incumbent within a budget: "optimal" (award INFINITY), or "truncated"
     6  ambiguity: hypotheses within a few nats live on as brothers
 
@@ -52,7 +52,7 @@ class Basin:
 class TomThumb:
     """The STT associator. Every number's reason is in docs/stt.md.
 
-    gates: the first chooses the pose basin, the second completes it once two pairs are accepted. nodes: budget of the
+    gates: the first, where it is the narrower, chooses the pose basin; the second completes it. nodes: budget of the
     certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
     budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
@@ -61,7 +61,7 @@ class TomThumb:
     memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
     """
 
-    gates: tuple[float, float] = (0.99, 1.0 - 1e-6)
+    gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
     nodes: int = 2000
     flights: int = 60
     patience: int = 15
@@ -191,9 +191,37 @@ class TomThumb:
             pool[0], pool_value[0], flown = posterior.ruin(
                 pool[0], pool_value[0], *args, gate2, lengths, rng.random((self.flights, 2)), self.patience
             )
+        core = self._core(pool[0], problem, C, base, bound, order, ranked)
+        if core is not None:
+            match, total = posterior.complete(core, *args, gate2)
+            if not np.array_equal(match, pool[0]):  # the best is in a pose basin that the first gate rules out
+                only = Basin(match, total, posterior.left_out_gains(match, *args), near)
+                return [only], {"nodes": nodes, "flights": flown, "proof": "first gate"}
         keep = np.flatnonzero(pool_value > pool_value[0] - self.ambiguity)
         found = [Basin(pool[k], pool_value[k], posterior.left_out_gains(pool[k], *args), near) for k in keep[:4]]
         return found, {"nodes": nodes, "flights": flown, "proof": "optimal" if proven else "truncated"}
+
+    def _core(
+        self, best: Ids, problem: AssociationProblem, C: Array, base: Array, bound: Array, order: Ids, ranked: Window
+    ) -> Ids | None:
+        """Where the best hypothesis fails the joint test at the first gate: the best that passes it, if of two pairs or more.
+
+        That choice is of the pose basin; the second gate then completes it, so the first costs no pairs by itself.
+        """
+        if self.gates[0] >= self.gates[1]:
+            return None
+        m = len(best)
+        gates2 = chdtri(2.0 * np.arange(m + 1), 1.0 - self.gates[0])
+        gates2[0] = np.inf
+        _, d2, pairs = posterior.value_of(best, problem.innovation, C, problem.R, base)
+        if d2 < gates2[pairs]:
+            return None
+        pool, value = np.full((1, m), -1, np.int64), np.zeros(1)
+        posterior.search(
+            problem.innovation, C, problem.R, base, bound, order, ranked.start, ranked.columns, gates2,
+            np.full(m, -1, np.int64), 0.0, 0.0, self.nodes, pool, value,
+        )  # fmt: skip
+        return pool[0] if np.count_nonzero(pool[0] >= 0) >= 2 else None
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
