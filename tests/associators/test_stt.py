@@ -119,16 +119,49 @@ def test_the_refined_pose_is_the_true_one():
         assert (match == truth).mean() > 0.9
 
 
-def test_unambiguous_scans_are_proven_and_right():
-    rng = np.random.default_rng(4)
+def test_unambiguous_scans_are_settled_at_once_and_right():
+    """The quick path proves nothing, but what it takes is the maximum; without it the certificate proves that."""
+    rng, quick = np.random.default_rng(4), 0
     for _ in range(20):
         problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
         found = TomThumb().associate(problem, rng)[0]
+        slow = TomThumb(quick=0.0).associate(problem, rng)[0]
         own, odds = base_gains(problem, None)
         table = tabulate(problem, 1 - 1e-6)
         best = np.where(table.compatible, table.posterior(own[:, None] + odds[None]), -np.inf).max()
-        assert found.info["proof"] == "optimal"
+        assert slow.info["proof"] == "optimal"
+        quick += found.info["proof"] == "unambiguous"
         assert found.info["objective"] == pytest.approx(best, abs=1e-8)
+        assert slow.info["objective"] == pytest.approx(best, abs=1e-8)
+    assert quick >= 5
+
+
+def test_the_quick_path_decides_as_the_whole_search_does():
+    """Wherever it takes a scan: same names, same L, same confidence as certificate and marginals."""
+    rng, taken = np.random.default_rng(12), 0
+    for k in range(400):
+        m, n = (int(v) for v in rng.integers(1, 9, 2))
+        problem = random_problem(rng, m, n, spread=float(rng.uniform(1.5, 12.0)), pose=float(rng.uniform(0.02, 0.5)))
+        for decide in ("marginal", "map"):
+            one = TomThumb(decide=decide).associate(problem, np.random.default_rng(k))[0]
+            if one.info["proof"] != "unambiguous":
+                continue
+            two = TomThumb(decide=decide, quick=0.0).associate(problem, np.random.default_rng(k))[0]
+            assert np.array_equal(one.match, two.match)
+            assert one.info["objective"] == pytest.approx(two.info["objective"], abs=1e-7)
+            assert np.allclose(one.confidence, two.confidence, atol=0.01)
+            taken += 1
+    assert taken > 80
+
+
+def test_the_quick_path_leaves_doubtful_scans_to_the_search():
+    """A candidate too many, one that two want, or a pairing that gains too little."""
+    rng = np.random.default_rng(13)
+    problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
+    assert TomThumb(quick=0.1).associate(problem, rng)[0].info["proof"] == "unambiguous"
+    assert TomThumb(quick=1e3).associate(problem, rng)[0].info["proof"] == "optimal"
+    shared = random_problem(rng, 6, 1, spread=0.3)
+    assert TomThumb().associate(shared, rng)[0].info["proof"] != "unambiguous"
 
 
 def test_the_objective_is_the_maximum_over_all_hypotheses():

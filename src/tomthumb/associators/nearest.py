@@ -101,7 +101,5 @@ def log_odds(problem: AssociationProblem) -> Array:
 
     p = problem.predictions
     nothing = np.empty(0)
-    odds: Array = kernel(
-        len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist
-    )
+    odds: Array = kernel(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
     return odds

@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tomthumb.associators.tom_thumb.basins import Basin
 from tomthumb.associators.tom_thumb.scene import Rigid
-from tomthumb.kernels import marginals
+from tomthumb.kernels import marginals, motion
 from tomthumb.protocols import Rng
 from tomthumb.types import Array, Ids
 
@@ -35,16 +35,19 @@ def sampled_marginals(
     `samples` poses are drawn around each basin's, from a mixture of the basins' Gaussians, widened; each is weighed by
     its prior times the sum over all assignments (Bethe), divided by the mixture's density (deterministic mixture weights).
     """
-    centres = np.array([b.pose for b in found])
-    factors = WIDER * np.linalg.cholesky(np.linalg.inv(np.array([b.M for b in found])))
+    centres, Ms = np.array([b.pose for b in found]), np.array([b.M for b in found])
     starts = np.array([b.window.start for b in found])
     offsets = np.concatenate([[0], np.cumsum(starts[:, -1])])
     columns = np.concatenate([b.window.columns for b in found])
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+    gains = np.concatenate(
+        [
+            motion.pose_gains(b.pose, P, *args, b.window.start, b.window.columns, np.inf)
+            for b, P in zip(found, np.linalg.inv(Ms), strict=True)
+        ]
+    )
     steps = rng.standard_normal((len(found), samples, 3))
-    p, none = marginals.integrated(
-        steps, centres, factors, starts, offsets, columns, s.q, s.R, s.p, s.D, s.base, s.odds, np.linalg.inv(s.Xi),
-        gate2,
-    )  # fmt: skip
+    p, none = marginals.integrated(steps, centres, Ms, WIDER, starts, offsets, columns, gains, *args, s.prior, gate2)
     return p, none
 
 

@@ -38,6 +38,7 @@ class Window:
 class Rigid:
     """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
 
+    prior (3, 3) is the inverse of Xi;
     allowed (m, n): pairings whose labels do not contradict each other, or None without labels.
     """
 
@@ -48,6 +49,7 @@ class Rigid:
     Xi: Array
     base: Array
     odds: Array
+    prior: Array
     allowed: Mask | None = None
 
 
@@ -81,7 +83,9 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         problem.z, problem.R, given.z_hat, np.ascontiguousarray(given.cov), pose_cov, cross, bool(problem.angles),
         SAMPLE, REMAINDER,
     )  # fmt: skip
-    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, problem.allowed) if good else None
+    if not good:
+        return None
+    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, np.linalg.inv(Xi), problem.allowed)
 
 
 def lever(p: Array) -> Array:

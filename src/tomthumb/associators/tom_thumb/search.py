@@ -21,17 +21,23 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.basins import Basin, Budget, anchored, at_pose, distinct
+from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
 from tomthumb.kernels import posterior
-from tomthumb.kernels.left_out import left_out_gains
+from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
-SMALL, FEW = 30, 8.0  # observations, and mean number of candidates, up to which the certificate is tried first
+Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
+NOTHING = np.empty((0, 0))
+SMALL = 30  # observations from which a scan is large
+CERTAIN, FEW = (
+    6,
+    8.0,
+)  # observations, and mean candidates of each, up to which the certificate of a hard scan comes first
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -64,6 +70,7 @@ class TomThumb:
     samples: int = 48
     reach: float = 7.0
     sure: float = 0.98
+    quick: float = 4.0
     hard: float = 1.5
     memory: bool = False
     lessons: LogMemory = field(default_factory=LogMemory, repr=False)
@@ -76,16 +83,27 @@ class TomThumb:
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         own, odds = base_gains(problem, prior)
         near = window(problem.d2, self.gates[1])
-        base = own[:, None] + odds
-        found, info = self._within(problem, near, base, rng) if self._is_small(near) else ([], NOTHING_YET)
-        if not self._is_hard(near):
-            found, info = (found, info) if found else self._within(problem, near, base, rng)
-            return self._decided(found, info, *mixed_marginals(found, n))
-        if info["proof"] == "optimal" and len(found) == 1:
+        cov = np.ascontiguousarray(problem.predictions.cov)
+        if self.quick > 0.0 and near.start[-1] <= m and self.gates[0] >= self.gates[1]:
+            clear, match, chance, value = unambiguous(
+                problem.innovation, cov, problem.R, own, odds, near.start, near.columns, self.quick
+            )
+            if clear:
+                return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
+        given = (problem.innovation, cov, problem.R, own[:, None] + odds)
+        if self.decide == "map":
+            return self._mode(problem, given, near, own, odds, rng)
+        hard = self._is_hard(near)
+        found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
+        p, none = mixed_marginals(found, n) if found else (NOTHING, NOTHING)
+        proven = info["proof"] == "optimal" and len(found) == 1
+        scene = None if not hard or (proven and self._is_sure(p, none)) else rigid(problem, own, odds)
+        if scene is not None:
+            return self._over_poses(scene, near, found if info["proof"] == "optimal" else [], info, rng)
+        if not found:
+            found, info = self._within(given, near, rng)
             p, none = mixed_marginals(found, n)
-            if self._is_sure(p, none):
-                return self._decided(found, info, p, none)
-        return self._over_poses(problem, near, base, found, info, rigid(problem, own, odds), rng)
+        return self._decided(found, info, p, none)
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -97,10 +115,10 @@ class TomThumb:
         m = len(near.start) - 1
         return m >= 3 and (near.start[-1] > self.hard * m or m > SMALL)
 
-    def _is_small(self, near: Window) -> bool:
-        """Small enough for the certificate: it comes first there, and settles most scans."""
+    def _is_small(self, near: Window, most: int) -> bool:
+        """Small enough for the certificate to come first."""
         m = len(near.start) - 1
-        return bool(m <= SMALL and near.start[-1] <= FEW * m)
+        return bool(m <= most and near.start[-1] <= FEW * m)
 
     def _is_sure(self, p: Array, none: Array) -> bool:
         """Every decision is so probable that it need not be looked at more closely."""
@@ -109,46 +127,73 @@ class TomThumb:
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, problem: AssociationProblem, near: Window, base: Array, found: list[Basin], info: dict[str, Any],
-        scene: Rigid | None, rng: Rng,
+        self, scene: Rigid, near: Window, proven: list[Basin], info: dict[str, Any], rng: Rng
     ) -> Sequence[Association]:  # fmt: skip
-        """Pose basins where the certificate has not settled the scan, and the decision with the pose integrated out."""
-        m, n = problem.shape
+        """The decision with the pose integrated out, over the proven hypotheses, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
-        if scene is None:
-            found, info = (found, info) if found else self._within(problem, near, base, rng)
-            return self._decided(found, info, *mixed_marginals(found, n))
-        exact = found[0] if found else None
-        if info["proof"] == "optimal":
-            found = [at_pose(scene, b, gate2) for b in found]
-        else:
-            budget = Budget(self.anchors, self.basins, self.poses, self.reach)
-            found, info = anchored(scene, near, gate2, gate3, budget)
-        if self.decide == "map":
-            pass
+        found = [at_pose(scene, b, gate2) for b in proven]
+        if not found:
+            found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        p, none = mixed_marginals(found, n)
+        p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_sure(p, none)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
         return self._decided(found, info, p, none)
 
+    def _budget(self) -> Budget:
+        return Budget(self.anchors, self.basins, self.poses, self.reach)
+
+    def _mode(
+        self, problem: AssociationProblem, given: Given, near: Window, own: Array, odds: Array, rng: Rng
+    ) -> Sequence[Association]:  # fmt: skip
+        """The most probable hypothesis: proven on the full covariance, else the best that anchors and flights lead to.
+
+        Beyond the certificate's size it is the best over rigid motions, where the search went over poses.
+        """
+        gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
+        found, info = self._within(given, near, rng) if self._is_small(near, SMALL) else ([], NOTHING_YET)
+        if self._is_hard(near) and info["proof"] == "truncated":
+            scene = rigid(problem, own, odds)
+            others, spent = anchored(scene, near, gate2, gate3, self._budget()) if scene is not None else ([], {})
+            if found:
+                found, info = self._polished([b.match for b in [*found, *others]], given, near, gate2, rng, info)
+            else:
+                found, info = distinct(others, self.reach), spent
+        if not found:
+            found, info = self._within(given, near, rng)
+        return self._decided(found, info, *mixed_marginals(found, len(odds)))
+
+    def _polished(
+        self, matches: list[Ids], given: Given, near: Window, gate2: float, rng: Rng, info: dict[str, Any]
+    ) -> tuple[list[Basin], dict[str, Any]]:
+        """Levy flights from each of the best hypotheses, by L on the full covariance, and the certificate once more."""
+        by_value = {tuple(a.tolist()): (float(posterior.value_of(a, *given)[0]), a) for a in matches}
+        ranked = sorted(by_value.values(), key=lambda pair: -pair[0])[:POLISHED]
+        flown = [self._flown(match, value, given, near, gate2, rng) for value, match in ranked]
+        match, value, _ = max(flown, key=lambda f: f[1])
+        m = len(match)
+        pool, values = np.full((POOL, m), -1, np.int64), np.full(POOL, -np.inf)
+        bound = posterior.most_possible(near.start, near.columns, given[3], given[2])
+        nodes, proven = posterior.search(
+            *given, bound, *posterior.rank(near.start, near.columns), np.full(m + 1, np.inf), match, value,
+            self.ambiguity, self.nodes, pool, values,
+        )  # fmt: skip
+        spent = {"nodes": info["nodes"] + nodes, "flights": sum(f[2] for f in flown)}
+        keep = np.flatnonzero(values > values[0] - self.ambiguity)[:4]
+        found = [_left_out(pool[k], float(values[k]), given, near) for k in keep]
+        return found, {**info, **spent, "proof": "optimal" if proven else "truncated"}
+
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
-    def _within(
-        self, problem: AssociationProblem, near: Window, base: Array, rng: Rng
-    ) -> tuple[list[Basin], dict[str, Any]]:
+    def _within(self, given: Given, near: Window, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
         """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
-        given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base)
         gate2 = float(chdtri(2, 1.0 - self.gates[1]))
         pool, values, nodes, proven = posterior.solve(
             *given, near.start, near.columns, gate2, self.ambiguity, self.nodes, POOL
         )
         info: dict[str, Any] = {"nodes": nodes, "flights": 0, "proof": "optimal" if proven else "truncated"}
         if not proven and self.flights and not self._is_hard(near):
-            lengths, uniform = power_law(self.exponent, len(pool[0])).draw(rng, self.flights), rng.random((self.flights, 2))
-            pool[0], values[0], info["flights"] = posterior.ruin(
-                pool[0], values[0], *given, near.start, near.columns, gate2, lengths, uniform, self.patience
-            )
+            pool[0], values[0], info["flights"] = self._flown(pool[0], values[0], given, near, gate2, rng)
         core = self._core(pool[0], given, near)
         if core is not None:
             match, total = posterior.complete(core, *given, near.start, near.columns, gate2)
@@ -156,6 +201,16 @@ class TomThumb:
                 return [_left_out(match, total, given, near)], {**info, "proof": "first gate"}
         keep = np.flatnonzero(values > values[0] - self.ambiguity)[:4]
         return [_left_out(pool[k], float(values[k]), given, near) for k in keep], info
+
+    def _flown(
+        self, match: Ids, value: float, given: Given, near: Window, gate2: float, rng: Rng
+    ) -> tuple[Ids, float, int]:
+        """Levy flights from a hypothesis: the best met, its L, and the flights made."""
+        lengths, uniform = power_law(self.exponent, len(match)).draw(rng, self.flights), rng.random((self.flights, 2))
+        found: tuple[Ids, float, int] = posterior.ruin(
+            match, value, *given, near.start, near.columns, gate2, lengths, uniform, self.patience
+        )
+        return found
 
     def _core(self, best: Ids, given: Given, near: Window) -> Ids | None:
         """Where the best hypothesis fails the joint test at the first gate: the best that passes it, if of two pairs or more.
@@ -194,9 +249,6 @@ class TomThumb:
         """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
         near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
         return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
-
-
-Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
 
 
 def _left_out(match: Ids, value: float, given: Given, near: Window) -> Basin:
