@@ -85,8 +85,7 @@ def way_home(king: King, away: Exile, here: Estimate, ledger: dict[int, Life], s
     if len(q) < king.votes or len(away.old.ids) < king.votes:
         return None
     found = fits(q, covs, away.old.landmarks, np.zeros(3))
-    judged = [_judged(king, fit, q, away, sensor) for fit in found]
-    chosen = _clear(king, judged)
+    chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
     if chosen is None:
         return None
     fit = found[chosen]
@@ -104,19 +103,19 @@ class Verdict:
     home: bool
 
 
-def _clear(king: King, judged: list[Verdict]) -> int | None:
+def clear(king: King, verdicts: list[Verdict]) -> int | None:
     """The place that is good and has no rival, if there is one."""
-    order = sorted(range(len(judged)), key=lambda k: -judged[k].score)
-    if not order or not judged[order[0]].holds:
+    order = sorted(range(len(verdicts)), key=lambda k: -verdicts[k].score)
+    if not order or not verdicts[order[0]].holds:
         return None
-    best, others = judged[order[0]], [judged[k] for k in order[1:]]
+    best, others = verdicts[order[0]], [verdicts[k] for k in order[1:]]
     if any(best.score - other.score < king.lead for other in others) or best.score < king.lead:
         return None
     alone = best.home or all(other.gain < king.rival * best.gain for other in others)
     return order[0] if alone else None
 
 
-def _judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdict:
+def judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdict:
     old, hit = away.old.landmarks, fit.match >= 0
     both = _covered(to_world(fit.motion, q), old) | hit
     chance = _seen(sensor, [compose(fit.motion, pose) for pose in away.trail], old) * away.exist

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
+from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
 
-LOOP = ("width", "faithful", "frozen", "king")  # settings of the loop, beside the life cycle's
+LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
 
 
@@ -73,6 +74,8 @@ def prepare(
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
         king=King() if chosen["slam"].get("king") and associator != "oracle" else None,
     )  # fmt: skip
+    if slam.court.king is not None and chosen["slam"].get("loops"):
+        slam.court.loops = Loops()
     if start_map is not None:
         _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
     return slam
