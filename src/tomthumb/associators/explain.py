@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc
 
-from tomthumb.associators.tom_thumb.scene import base_gains
+from tomthumb.associators.tom_thumb.scene import base_table
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels import posterior
 from tomthumb.types import Array, Association, AssociationProblem, Ids
@@ -69,8 +69,7 @@ def explain(problem: AssociationProblem, association: Association | Ids, i: int)
         )
     if not 0 <= i < m:
         raise TomThumbError(f"observation {i} does not exist; valid: 0 to {m - 1}")
-    own, odds = base_gains(problem, None)
-    given = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, own[:, None] + odds[None]
+    given = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base_table(problem)
     joint_d2, pairs = posterior.value_of(match, *given)[1:]
     j = int(match[i])
     gain, alone, conditional = (0.0, np.nan, np.nan) if j < 0 else _pairing(problem, match, i, given)
@@ -89,12 +88,12 @@ def _pairing(problem: AssociationProblem, match: Ids, i: int, given: Given) -> t
     without = match.copy()
     without[i] = -1
     (value, d2, _), (less, rest, _) = posterior.value_of(match, *given), posterior.value_of(without, *given)
-    return value - less, float(problem.d2[i, match[i]]), d2 - rest
+    return value - less, float(problem.weighed_d2[i, match[i]]), d2 - rest
 
 
 def _runner_up(problem: AssociationProblem, match: Ids, i: int, given: Given) -> tuple[int, float]:
     """The best other partner of i that is free and allowed, and its gain; staying unpaired (-1, 0) counts as one."""
-    free = np.isfinite(problem.d2[i])
+    free = np.isfinite(problem.weighed_d2[i])
     free[match[match >= 0]] = False  # held by others, or by i itself
     columns = np.flatnonzero(free).astype(np.int64)
     start = np.zeros(len(match) + 1, np.int64)

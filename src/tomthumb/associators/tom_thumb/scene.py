@@ -36,7 +36,8 @@ class Window:
 class Rigid:
     """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
 
-    allowed (m, n): pairings whose labels do not contradict each other, or None without labels.
+    allowed (m, n): pairings whose labels do not contradict each other, or None without labels. evidence (m, n): what is
+    added to the gains of pairings for their looks, or None.
     """
 
     q: Array
@@ -47,6 +48,19 @@ class Rigid:
     base: Array
     odds: Array
     allowed: Mask | None = None
+    evidence: Array | None = None
+
+    def of_looks(self, near: Window) -> Array | float:
+        """Evidence of the pairings that are listed."""
+        if self.evidence is None:
+            return 0.0
+        listed: Array = self.evidence[np.repeat(np.arange(len(self.q)), near.counts), near.columns]
+        return listed
+
+    def of_match(self, match: Ids) -> float:
+        """Evidence of the pairings of a match (m,), together."""
+        rows = np.flatnonzero(match >= 0)
+        return 0.0 if self.evidence is None else float(self.evidence[rows, match[rows]].sum())
 
 
 def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
@@ -54,6 +68,17 @@ def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array,
     odds = log_odds(problem)
     density = np.minimum(problem.clutter, _observed_density(problem.z, problem.angles))
     return -np.log(density), odds if prior is None else odds + prior
+
+
+def weighed(gains: Array, evidence: Array | None) -> Array:
+    """Gains (m, n) with the evidence of what observations and landmarks look like, where there is any."""
+    return gains if evidence is None else gains + evidence
+
+
+def base_table(problem: AssociationProblem) -> Array:
+    """Base gain (m, n) of each pairing: log P_D / (1 - P_D) - log lambda0 + evidence."""
+    base, odds = base_gains(problem, None)
+    return weighed(base[:, None] + odds[None], problem.evidence)
 
 
 def _observed_density(z: Array, angles: tuple[int, ...]) -> float:
@@ -114,7 +139,7 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         D = own - B @ Xi @ B.transpose(0, 2, 1)
         if _explained(C, Xi, p[sample], noise) and (np.linalg.eigvalsh(D)[:, 0] > -REMAINDER * noise).all():
             area = np.abs(np.linalg.det(Tq))
-            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds, problem.allowed)
+            return Rigid(q, R, p, _floored(D), Xi, base + np.log(area), odds, problem.allowed, problem.evidence)
     return None
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, permitted, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, permitted, rigid, weighed, window
 from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
@@ -87,18 +87,19 @@ class TomThumb:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         base, odds = base_gains(problem, prior)
-        near = window(problem.d2, self.gates[1])
+        near = window(problem.weighed_d2, self.gates[1])
+        table = weighed(base[:, None] + odds[None], problem.evidence)
         found: list[Basin] = []
         info: dict[str, Any] = {"proof": "truncated"}
         if self._is_small(near):
-            found, info = self._within(problem, near, base[:, None] + odds[None], rng)
+            found, info = self._within(problem, near, table, rng)
         scene = rigid(problem, base, odds) if self._is_hard(near) else None
         if scene is not None and info["proof"] != "optimal":
             found, info = self._anchored(scene, near)
         elif scene is not None:
             found = [self._at_pose(scene, b.match, near) for b in found]
         if not found:
-            found, info = self._within(problem, near, base[:, None] + odds[None], rng)
+            found, info = self._within(problem, near, table, rng)
         return self._decided(found, n, info, scene, rng)
 
     def learn(self, ids: Ids, t: float) -> None:
@@ -153,16 +154,16 @@ class TomThumb:
         start, columns = near.start, near.columns
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, match, value = flights.refine(pose, *args, Xi_inverse, start, columns, gate2, 3)
-        gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2)
-        return Basin(match, value, gains, near, at, M)
+        gains = flights.left_out_gains(at, M, match, *args, start, columns, gate2) + s.of_looks(near)
+        return Basin(match, value + s.of_match(match), gains, near, at, M)
 
     def _at_pose(self, s: Rigid, match: Ids, near: Window) -> Basin:
         """A hypothesis from the full covariance, with the pose that it implies."""
         gate2 = float(chdtri(2, 1.0 - self.gates[1]))
         args = (s.q, s.R, s.p, s.D, s.base, s.odds)
         at, M, value = flights.fit(np.zeros(3), match, *args, np.linalg.inv(s.Xi), 4)
-        gains = flights.left_out_gains(at, M, match, *args, near.start, near.columns, gate2)
-        return Basin(match, value, gains, near, at, M)
+        gains = flights.left_out_gains(at, M, match, *args, near.start, near.columns, gate2) + s.of_looks(near)
+        return Basin(match, value + s.of_match(match), gains, near, at, M)
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
@@ -255,14 +256,15 @@ def untangled(s: Rigid, basin: Basin, Xi_inverse: Array) -> Basin:
     still, near, pose = np.zeros((3, 3)), basin.window, basin.pose
     best, M = basin, basin.M
     for _ in range(3):
-        gains = flights.pose_gains(pose, still, *args, near.start, near.columns, np.inf)
+        gains = flights.pose_gains(pose, still, *args, near.start, near.columns, np.inf) + s.of_looks(near)
         match = assigned(gains, near)
         if np.array_equal(match, best.match):
             break
         pose, M, value = flights.fit(pose, match, *args, Xi_inverse, 2)
+        value += s.of_match(match)
         if value <= best.value:
             break
-        left = flights.left_out_gains(pose, M, match, *args, near.start, near.columns, np.inf)
+        left = flights.left_out_gains(pose, M, match, *args, near.start, near.columns, np.inf) + s.of_looks(near)
         best = Basin(match, value, left, near, pose, M)
     return best
 
@@ -369,6 +371,7 @@ def sampled_marginals(
         for step in rng.standard_normal((samples, 3)):
             pose = centre + factor @ step
             gains = flights.pose_gains(pose, still, s.q, s.R, s.p, s.D, s.base, s.odds, near.start, near.columns, gate2)
+            gains += s.of_looks(near)
             chance, alone, log_z = posterior.marginals(gains, near.start, near.columns, n, 10)
             density = _mixture(pose, centres, factors)
             parts.append((near, chance, alone))
