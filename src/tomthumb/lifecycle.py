@@ -57,7 +57,10 @@ class LifeCycle:
 
 @dataclass(slots=True)
 class Life:
-    """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks."""
+    """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks.
+
+    `seen` and `born`: scans of the last and the first sighting.
+    """
 
     seen: int
     hits: float = 1.0
@@ -65,6 +68,7 @@ class Life:
     static: int = 1
     companions: set[int] = field(default_factory=set)
     looks: Looks = field(default_factory=Looks)
+    born: int = 0
 
     @property
     def exist(self) -> float:
