@@ -248,6 +248,25 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Lessons:
+    """What an associator has learned about landmarks `ids (k,)`: how often each was seen, `sightings (k,)` of `total`;
+    `together (k, k)`, the share of sightings of i before which j was seen lately; `lately (k,)`, that share of them all.
+    """
+
+    ids: Ids
+    sightings: Ids
+    together: Array
+    lately: Array
+    total: int
+
+    def renamed(self, names: Mapping[int, int]) -> Lessons:
+        """About the landmarks that `names` knows, by the ids it gives them."""
+        rows = np.array([k for k, i in enumerate(self.ids.tolist()) if i in names], np.int64)
+        ids = np.array([names[int(i)] for i in self.ids[rows]], np.int64)
+        return Lessons(ids, self.sightings[rows], self.together[np.ix_(rows, rows)], self.lately[rows], self.total)
+
+
+@dataclass(frozen=True, slots=True)
 class StepRecord:
     """What one step gave out. `ids (m,)`: the landmark of each observation, its own serial if it founded one, else -1.
 
@@ -295,3 +314,4 @@ class Trace:
     final_ids: Ids | None = None
     final_pose: Array | None = None
     stats: Mapping[str, float] = field(default_factory=dict)
+    lessons: Lessons | None = None

@@ -27,7 +27,7 @@ from tomthumb.kernels import flights, posterior
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
-from tomthumb.types import Array, Association, AssociationProblem, Ids
+from tomthumb.types import Array, Association, AssociationProblem, Ids, Lessons
 
 SMALL = 30  # observations up to which the certificate is tried first
 POLISHED = 4  # basins, best first, whose assignment is made optimal
@@ -58,7 +58,8 @@ class TomThumb:
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
-    memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
+    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
+    landmarks are remembered.
     """
 
     gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
@@ -78,7 +79,13 @@ class TomThumb:
     sure: float = 0.98
     hard: float = 1.5
     memory: bool = False
-    lessons: LogMemory = field(default_factory=LogMemory, repr=False)
+    recent: float = 3.0
+    clip: float = 2.0
+    size: int = 1000
+    lessons: LogMemory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
@@ -106,6 +113,14 @@ class TomThumb:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
         if self.memory:
             self.lessons.learn(ids, t)
+
+    def recall(self, ids: Ids) -> Lessons | None:
+        """See `protocols.Learner`."""
+        return self.lessons.recall(ids) if self.memory else None
+
+    def remind(self, lessons: Lessons) -> None:
+        """See `protocols.Learner`."""
+        self.lessons.remind(lessons)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
