@@ -180,6 +180,8 @@ class Slam:
         self.clutter.scans += 1.0
         if "king" not in infos:
             self.branches = self._apart([c[0] for c in children])
+        if self.teacher is not self.associator or self.index >= self.teach_steps:
+            self.associator.learn(self.branches[0].ids, self.t)  # from the best branch alone: one scan, one lesson
         return spent, infos
 
     # --- the king -----------------------------------------------------------------------------------------------------
@@ -295,9 +297,6 @@ class Slam:
             self._merge(branch, predictions, set(ids[hit].tolist()))
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
-        who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None
-        if who is None or who is not self.associator:
-            self.associator.learn(branch.ids, self.t)
 
     def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, scan: Scan, ids: Ids) -> None:
         rows = np.flatnonzero(ids >= 0)
