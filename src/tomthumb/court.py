@@ -1,20 +1,89 @@
-"""What the loop does when the family flees, and when the king has carried it home (`king` says when)."""
+"""What the loop does when the family flees, when the king carries it home, and when he closes a loop.
+
+`watch` says when to flee, `king` when to go home, `closing` when a loop is closed; here the branches are changed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tomthumb.branches import Branch
+from tomthumb.branches import Branch, Scan
+from tomthumb.closing import Loops, closures
 from tomthumb.geometry import compose, rotation
-from tomthumb.king import Exile, Return, left_behind, pose_home
+from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.protocols import Estimator, Rng
-from tomthumb.types import Array, Estimate
+from tomthumb.types import Array, Estimate, Ids, Mask
+from tomthumb.watch import Watch
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
 
 CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own frame
+
+
+@dataclass(slots=True)
+class Court:
+    """The king, where there is one, the watch, and what was left behind when the family fled."""
+
+    king: King | None
+    loops: Loops | None = None
+    watch: Watch = field(default_factory=Watch)
+    exile: Exile | None = None
+
+    def attend(self, slam: Slam, scan: Scan) -> dict[str, Any]:
+        """After each scan: flee, seek the way home, or look for a closed loop."""
+        if self.king is None or slam.index < slam.teach_steps:
+            return {}
+        if self.exile is None and self.watch.lost:
+            self.lose_the_way(slam, slam.branches[0])
+            slam.found(slam.branches[0], scan)
+        if self.exile is not None:
+            return self._seek(slam, self.king, self.exile)
+        return self._close(slam, self.king, scan)
+
+    def look(self, branch: Branch, ids: Ids, known: Mask, seen: Mask, chance: Array, count: int, scan: int) -> None:
+        """The landmarks `ids` (n,) of a scan of `count`: confirmed and due, seen, and with what chance of that (n,)."""
+        lives = [branch.ledger[i] for i in ids.tolist()]
+        old = np.array([life.born <= self.watch.since for life in lives], bool)
+        due = known & old
+        exist = np.array([life.exist for life in lives])
+        self.watch.look((chance * exist)[due], seen[due], count - int((seen & old).sum()), scan)
+
+    def lose_the_way(self, slam: Slam, branch: Branch) -> None:
+        """The pose of a branch is not believed any more: its map is put aside, a new one begun."""
+        self.exile, fresh = flee(slam.estimator, branch, slam.index, slam.rng_estimator)
+        slam.branches, self.watch = [fresh], Watch()
+
+    def whole(self, here: Estimate) -> Estimate:
+        """The estimate; while the family is away, with the old map beside the new one."""
+        return here if self.exile is None else both(self.exile.old, here)
+
+    def _seek(self, slam: Slam, king: King, away: Exile) -> dict[str, Any]:
+        here = slam.branches[0]
+        away.trail.append(slam.estimator.pose(here.belief)[0])
+        if len(away.trail) % king.every:
+            return {"king": "away"}
+        way = way_home(king, away, slam.estimator.estimate(here.belief), here.ledger, slam.sensor)
+        if way is None:
+            return {"king": "away"}
+        slam.branches = [go_home(slam.estimator, away, here, way, slam.index, slam.scan, slam.policy.hits)]
+        self.exile = None
+        return {"king": "home", "votes": way.fit.votes}
+
+    def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
+        if self.loops is None or slam.scan % self.loops.every or not len(scan):
+            return {}
+        best = slam.branches[0]
+        G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
+        noise = float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean()))
+        pairs = closures(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, noise)
+        for keep, drop in pairs:
+            slam.unite(best, keep, drop)
+        return {"king": "loop", "votes": len(pairs)} if pairs else {}
 
 
 def flee(estimator: Estimator[Any], branch: Branch, index: int, rng: Rng) -> tuple[Exile, Branch]:

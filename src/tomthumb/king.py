@@ -32,26 +32,31 @@ NEVER = 1.0  # no hit that is one: what is known from before may stand here
 class King:
     """When a fit is believed; reasons in docs/stt.md.
 
-    votes: pairs at least, and `share` of the landmarks that both maps ought to have. lead: nats before the next place.
-    home: nats in favour of the place where the robot believes itself, within `drift` (m, rad). every: scans between two
-    attempts.
+    votes: pairs at least, and `share` of the landmarks that both maps ought to have. lead: nats before the next place,
+    whose votes must weigh less than `rival` of the best one's. home: nats in favour of the place where the robot believes
+    itself, by its covariance and `drift` (m, rad); there a rival is no hindrance. every: scans between two attempts.
     """
 
     votes: int = 8
     share: float = 0.7
     lead: float = 10.0
+    rival: float = 0.75
     home: float = 12.0
-    drift: tuple[float, float] = (1.0, 0.3)
+    drift: tuple[float, float] = (0.1, 0.03)
     every: int = 1
 
 
 @dataclass(slots=True)
 class Exile:
-    """A family away from home: the branch it left, the old map's stones, and where it has scanned since (new frame)."""
+    """A family away from home: the branch it left, the old map's stones, and where it has scanned since (new frame).
+
+    `exist` (n,) of the stones; `believed`: whether anything is known of where it is.
+    """
 
     home: Branch
     old: Estimate
     exist: Array
+    believed: bool = True
     trail: list[Array] = field(default_factory=list)
 
 
@@ -80,21 +85,37 @@ def way_home(king: King, away: Exile, here: Estimate, ledger: dict[int, Life], s
     if len(q) < king.votes or len(away.old.ids) < king.votes:
         return None
     found = fits(q, covs, away.old.landmarks, np.zeros(3))
-    judged = [_judged(king, fit, q, away, sensor) for fit in found]
-    if not judged:
+    chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
+    if chosen is None:
         return None
-    order = np.argsort([-score for score, _ in judged], kind="stable")
-    best, good = judged[order[0]]
-    second = judged[order[1]][0] if len(order) > 1 else 0.0
-    if not good or best - max(second, 0.0) < king.lead:
-        return None
-    fit = found[int(order[0])]
+    fit = found[chosen]
     named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
     return Return(fit, ids, named)
 
 
-def _judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> tuple[float, bool]:
-    """Nats that speak for a fit, and whether it holds on both sides."""
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Nats that speak for a place: by its votes alone, and in all; whether it holds on both sides, and is at home."""
+
+    gain: float
+    score: float
+    holds: bool
+    home: bool
+
+
+def clear(king: King, verdicts: list[Verdict]) -> int | None:
+    """The place that is good and has no rival, if there is one."""
+    order = sorted(range(len(verdicts)), key=lambda k: -verdicts[k].score)
+    if not order or not verdicts[order[0]].holds:
+        return None
+    best, others = verdicts[order[0]], [verdicts[k] for k in order[1:]]
+    if any(best.score - other.score < king.lead for other in others) or best.score < king.lead:
+        return None
+    alone = best.home or all(other.gain < king.rival * best.gain for other in others)
+    return order[0] if alone else None
+
+
+def judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdict:
     old, hit = away.old.landmarks, fit.match >= 0
     both = _covered(to_world(fit.motion, q), old) | hit
     chance = _seen(sensor, [compose(fit.motion, pose) for pose in away.trail], old) * away.exist
@@ -104,16 +125,19 @@ def _judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> tupl
     missing = due & ~met
     score = fit.gain + float(np.maximum(np.log1p(-np.minimum(chance[missing], 0.999)), -MISSING).sum())
     score -= STRANGE * float(np.count_nonzero(both & ~hit))
-    score += king.home * float(_at_home(king, fit, away.trail[-1]))
+    bonus = king.home - 0.5 * _from_home(king, fit, away) if away.believed else 0.0
     enough = fit.votes >= max(king.votes, king.share * both.sum())
-    return score, bool(enough and (due & met).sum() >= king.share * due.sum())
+    holds = bool(enough and (due & met).sum() >= king.share * due.sum())
+    return Verdict(fit.gain, score + max(bonus, 0.0), holds, bonus > 0.0)
 
 
-def _at_home(king: King, fit: Fit, pose: Array) -> bool:
-    """The fit leaves the robot about where it believes itself."""
-    moved = compose(fit.motion, pose)
-    metres, radians = king.drift
-    return bool(np.hypot(*(moved[:2] - pose[:2])) < metres and abs(wrap_angle(moved[2] - pose[2])) < radians)
+def _from_home(king: King, fit: Fit, away: Exile) -> float:
+    """Squared distance of the pose that the fit gives from the one that was believed, by its covariance times 9."""
+    pose, (metres, radians) = away.trail[-1], king.drift
+    gap = compose(fit.motion, pose) - pose
+    gap[2] = wrap_angle(gap[2])
+    spread = 9.0 * away.old.pose_cov + np.diag([metres, metres, radians]) ** 2
+    return float(gap @ np.linalg.solve(spread, gap))
 
 
 def _covered(points: Array, old: Array) -> Mask:

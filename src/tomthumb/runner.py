@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
+from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
@@ -16,7 +17,7 @@ from tomthumb.protocols import Learner
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
-LOOP = ("width", "faithful", "frozen", "king")  # settings of the loop, beside the life cycle's
+LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
 
 
@@ -24,7 +25,7 @@ def run(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
@@ -54,7 +55,7 @@ def prepare(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
@@ -78,6 +79,8 @@ def prepare(
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
         king=King() if chosen["slam"].get("king") and associator != "oracle" else None,
     )  # fmt: skip
+    if slam.court.king is not None and chosen["slam"].get("loops"):
+        slam.court.loops = Loops()
     if start_map is not None:
         names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
         if lessons is not None and isinstance(slam.associator, Learner):

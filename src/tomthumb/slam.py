@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from tomthumb import court, lifecycle
+from tomthumb import lifecycle
 from tomthumb.appearance import Crowd, Looks, weigh, with_looks
 from tomthumb.branches import Branch, Scan
 from tomthumb.checks import check_step
+from tomthumb.court import Court
 from tomthumb.errors import Diverged
 from tomthumb.kernels.gates import innovations, paired_distances
-from tomthumb.king import Exile, King, way_home
+from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
@@ -38,7 +39,6 @@ from tomthumb.types import (
     Step,
     StepRecord,
 )
-from tomthumb.watch import Watch
 
 TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
 STILL = 1e-4  # m: a scan at rest still counts for that much
@@ -83,8 +83,7 @@ class Slam:
         self.surprise = Surprise()
         self.moved = math.inf  # m since the last scan: how much of it is news, for sensors that repeat their errors
         self.failure: str | None = None
-        self.king, self.watch = king, Watch()
-        self.exile: Exile | None = None
+        self.court = Court(king)
 
     def stream(self, steps: Iterable[Step]) -> Iterator[StepRecord]:
         """Every step's record; ends early, with `failure` set, when the filter diverges."""
@@ -117,8 +116,7 @@ class Slam:
 
     def estimate(self) -> Estimate:
         """What the best branch says now; while the family is away from home, with the old map beside the new one."""
-        here = self.estimator.estimate(self.branches[0].belief)
-        return here if self.exile is None else court.both(self.exile.old, here)
+        return self.court.whole(self.estimator.estimate(self.branches[0].belief))
 
     # --- prediction -------------------------------------------------------------------------------------------------
 
@@ -175,51 +173,13 @@ class Slam:
             self._settle(branch, scan, predictions, matches)
         best = children[0][0]
         self.crowd.record(seen)
-        infos = children[0][3] | self._royal(best, scan)
         self.clutter.count += float(np.count_nonzero(best.paired < 0))
         self.clutter.scans += 1.0
-        if "king" not in infos:
-            self.branches = self._apart([c[0] for c in children])
+        self.branches = self._apart([c[0] for c in children])
+        infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             self.associator.learn(self.branches[0].ids, self.t)  # from the best branch alone: one scan, one lesson
         return spent, infos
-
-    # --- the king -----------------------------------------------------------------------------------------------------
-
-    def _royal(self, best: Branch, scan: Scan) -> dict[str, Any]:
-        """Flee when the watch calls, and go home when the king knows the way."""
-        if self.king is None or self.index < self.teach_steps:
-            return {}
-        if self.exile is None:
-            if not self.watch.lost:
-                return {}
-            away = self.lose_the_way(best)
-            self._begin(self.branches[0], scan)
-            return self._seek(self.king, away)
-        return self._seek(self.king, self.exile)
-
-    def lose_the_way(self, branch: Branch) -> Exile:
-        """The pose of a branch is not believed any more: its map is put aside, a new one begun."""
-        self.exile, fresh = court.flee(self.estimator, branch, self.index, self.rng_estimator)
-        self.branches, self.watch = [fresh], Watch()
-        return self.exile
-
-    def _begin(self, fresh: Branch, scan: Scan) -> None:
-        predictions = [self._expected(p, fresh.ledger) for p in self.estimator.expect(fresh.belief)]
-        self._settle(fresh, scan, predictions, [np.full(len(scan), -1, np.int64) for _ in predictions])
-
-    def _seek(self, king: King, away: Exile) -> dict[str, Any]:
-        here = self.branches[0]
-        away.trail.append(self.estimator.pose(here.belief)[0])
-        if len(away.trail) % king.every:
-            return {"king": "away"}
-        way = way_home(king, away, self.estimator.estimate(here.belief), here.ledger, self.sensor)
-        if way is None:
-            return {"king": "away"}
-        wanted = self.policy.hits
-        self.branches = [court.go_home(self.estimator, away, here, way, self.index, self.scan, wanted)]
-        self.exile = None
-        return {"king": "home", "votes": way.fit.votes}
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
         """Branches, best first, without those that have come to agree with a better one, or fallen `HOPELESS` behind.
@@ -283,6 +243,11 @@ class Slam:
 
     # --- naming, update, life cycle ---------------------------------------------------------------------------------
 
+    def found(self, branch: Branch, scan: Scan) -> None:
+        """A branch without a map begins one with this scan."""
+        predictions = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        self._settle(branch, scan, predictions, [np.full(len(scan), -1, np.int64) for _ in predictions])
+
     def _settle(self, branch: Branch, scan: Scan, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
         """Names, update, evidence, promotions, deaths, births, merging, for one branch."""
         named = [np.where(m >= 0, p.ids[m], -1) if len(p) else m for p, m in zip(every, matches, strict=True)]
@@ -321,15 +286,8 @@ class Slam:
         lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed])
         if predictions.stone is not None and branch is self.branches[0]:
             known = inside & predictions.stone
-            self._keep_watch(branch, predictions.ids, known, seen, chance, len(scan))
+            self.court.look(branch, predictions.ids, known, seen, chance, len(scan), self.scan)
             self.detection.record(predictions.points[known], seen[known])
-
-    def _keep_watch(self, branch: Branch, ids: Ids, known: Mask, seen: Mask, chance: Array, count: int) -> None:
-        lives = [branch.ledger[i] for i in ids.tolist()]
-        old = np.array([life.born <= self.watch.since for life in lives], bool)
-        due = known & old
-        exist = np.array([life.exist for life in lives])
-        self.watch.look((chance * exist)[due], seen[due], count - int((seen & old).sum()), self.scan)
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
         """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
