@@ -10,6 +10,7 @@ from scipy.special import gammainc
 from tomthumb.associators.tom_thumb.scene import base_table
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels import posterior
+from tomthumb.kernels.left_out import left_out_gains
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
 
@@ -98,7 +99,7 @@ def _runner_up(problem: AssociationProblem, match: Ids, i: int, given: Given) ->
     columns = np.flatnonzero(free).astype(np.int64)
     start = np.zeros(len(match) + 1, np.int64)
     start[i + 1 :] = len(columns)
-    gains = posterior.left_out_gains(match, *given, start, columns)
+    gains = left_out_gains(match, *given, start, columns)
     best = int(gains.argmax()) if len(columns) else -1
     if best < 0 or (match[i] >= 0 and gains[best] <= 0.0):
         return -1, 0.0

@@ -102,9 +102,9 @@ def pair_gains(problem: AssociationProblem) -> Array:
 
 def log_odds(problem: AssociationProblem) -> Array:
     """log P_D / (1 - P_D) of each prediction (n,), P_D = probability of existence and detection."""
+    from tomthumb.kernels.scene import log_odds as kernel
+
     p = problem.predictions
-    chance = np.full(len(p), 0.95) if p.visible is None else p.visible
-    chance = chance * (1.0 if p.exist is None else p.exist)
-    chance = np.clip(chance, 1e-6, 1.0 - 1e-4)
-    odds: Array = np.log(chance / (1.0 - chance))
+    nothing = np.empty(0)
+    odds: Array = kernel(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
     return odds
