@@ -137,6 +137,10 @@ class LogMemory:
             self._total += 1
         self._last[slots] = t
 
+    def known(self) -> Ids:
+        """The landmarks that are remembered (k,)."""
+        return np.array(list(self._slot), np.int64)
+
     def probability(self, j: int, i: int) -> float:
         """v_ij = P(j lately | i), 1/2 where nothing is known."""
         if i not in self._slot or j not in self._slot:
