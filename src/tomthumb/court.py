@@ -125,6 +125,7 @@ def _inherit(life: Life, lost: Life, scan: int) -> None:
     life.hits += lost.hits
     life.chances += lost.hits
     life.static += lost.static
+    life.looks = life.looks.and_also(lost.looks)
     life.seen = scan
 
 

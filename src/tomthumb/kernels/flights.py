@@ -17,6 +17,7 @@ Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
 
+
 @jit
 def ready(
     q: Array, R: Array, D: Array, base: Array, odds: Array, counts: Array, most: int

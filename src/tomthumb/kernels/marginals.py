@@ -75,14 +75,15 @@ def add_marginals(
 
 @jit
 def integrated(
-    steps: Array, centres: Array, factors: Array, starts: Array, offsets: Array, columns: Array, q: Array, R: Array,
-    points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array, gate2: float,
+    steps: Array, centres: Array, factors: Array, starts: Array, offsets: Array, columns: Array, looks: Array,
+    q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array, gate2: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Marginals p (m, n) and none (m,) with the pose integrated out by importance sampling.
 
     Poses are centres[b] + factors[b] steps[b, s]: a mixture of g Gaussians of equal weight. Given the pose the pairings
     are independent but for being one-to-one; each pose weighs its prior times the sum over all assignments (Bethe) over
-    the mixture's density. Basin b lists its candidates in columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1).
+    the mixture's density. Basin b lists its candidates in columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1),
+    with what `looks` adds to their gains.
     """
     g, S, m, n = steps.shape[0], steps.shape[1], q.shape[0], points.shape[0]
     logs, alone, done = np.empty(g * S), np.empty((g * S, m)), 0
@@ -90,6 +91,7 @@ def integrated(
     for b in range(g):
         mine = columns[offsets[b] : offsets[b + 1]]
         W, worth = _forms(starts[b], mine, R, D, base, odds)
+        worth += looks[offsets[b] : offsets[b + 1]]
         for s in range(S):
             pose = centres[b] + _turned(factors[b], steps[b, s])
             gains = _at_pose(pose, W, worth, q, points, starts[b], mine, gate2)

@@ -40,9 +40,10 @@ def sampled_marginals(
     starts = np.array([b.window.start for b in found])
     offsets = np.concatenate([[0], np.cumsum(starts[:, -1])])
     columns = np.concatenate([b.window.columns for b in found])
+    looks = np.concatenate([s.of_looks(b.window) for b in found])
     steps = rng.standard_normal((len(found), samples, 3))
     p, none = marginals.integrated(
-        steps, centres, factors, starts, offsets, columns, s.q, s.R, s.p, s.D, s.base, s.odds, np.linalg.inv(s.Xi),
+        steps, centres, factors, starts, offsets, columns, looks, s.q, s.R, s.p, s.D, s.base, s.odds, np.linalg.inv(s.Xi),
         gate2,
     )  # fmt: skip
     return p, none

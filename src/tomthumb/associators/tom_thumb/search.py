@@ -23,13 +23,13 @@ from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, weighed, window
 from tomthumb.kernels import posterior
 from tomthumb.kernels.left_out import left_out_gains
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
-from tomthumb.types import Array, Association, AssociationProblem, Ids
+from tomthumb.types import Array, Association, AssociationProblem, Ids, Lessons
 
 SMALL, FEW = 30, 8.0  # observations, and mean number of candidates, up to which the certificate is tried first
 POOL = 8  # hypotheses that the certificate remembers
@@ -46,7 +46,8 @@ class TomThumb:
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
-    memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
+    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
+    landmarks are remembered.
     """
 
     gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
@@ -66,7 +67,13 @@ class TomThumb:
     sure: float = 0.98
     hard: float = 1.5
     memory: bool = False
-    lessons: LogMemory = field(default_factory=LogMemory, repr=False)
+    recent: float = 3.0
+    clip: float = 2.0
+    size: int = 1000
+    lessons: LogMemory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
@@ -75,8 +82,8 @@ class TomThumb:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         own, odds = base_gains(problem, prior)
-        near = window(problem.d2, self.gates[1])
-        base = own[:, None] + odds
+        near = window(problem.weighed_d2, self.gates[1])
+        base = weighed(own[:, None] + odds, problem.evidence)
         found, info = self._within(problem, near, base, rng) if self._is_small(near) else ([], NOTHING_YET)
         if not self._is_hard(near):
             found, info = (found, info) if found else self._within(problem, near, base, rng)
@@ -91,6 +98,14 @@ class TomThumb:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
         if self.memory:
             self.lessons.learn(ids, t)
+
+    def recall(self, ids: Ids) -> Lessons | None:
+        """See `protocols.Learner`."""
+        return self.lessons.recall(ids) if self.memory else None
+
+    def remind(self, lessons: Lessons) -> None:
+        """See `protocols.Learner`."""
+        self.lessons.remind(lessons)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
@@ -145,7 +160,10 @@ class TomThumb:
         )
         info: dict[str, Any] = {"nodes": nodes, "flights": 0, "proof": "optimal" if proven else "truncated"}
         if not proven and self.flights and not self._is_hard(near):
-            lengths, uniform = power_law(self.exponent, len(pool[0])).draw(rng, self.flights), rng.random((self.flights, 2))
+            lengths, uniform = (
+                power_law(self.exponent, len(pool[0])).draw(rng, self.flights),
+                rng.random((self.flights, 2)),
+            )
             pool[0], values[0], info["flights"] = posterior.ruin(
                 pool[0], values[0], *given, near.start, near.columns, gate2, lengths, uniform, self.patience
             )
