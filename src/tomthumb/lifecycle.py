@@ -46,7 +46,10 @@ class LifeCycle:
 
 @dataclass(slots=True)
 class Life:
-    """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks."""
+    """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks.
+
+    `seen` and `born`: scans of the last and the first sighting.
+    """
 
     seen: int
     hits: float = 1.0
@@ -54,6 +57,7 @@ class Life:
     static: int = 1
     companions: set[int] = field(default_factory=set)
     label: int = -1
+    born: int = 0
 
     @property
     def exist(self) -> float:

@@ -125,6 +125,10 @@ class Estimator(Protocol[Belief]):
         """Two landmarks are one: the constraint l_keep = l_drop is applied and `drop` forgotten."""
         ...
 
+    def relocate(self, belief: Belief, pose: Array, cov: Array) -> Belief:
+        """The robot stands elsewhere: pose (3,) with covariance (3, 3), which owe nothing to the map."""
+        ...
+
     def pose(self, belief: Belief) -> tuple[Array, Array]:
         """The robot's pose (3,) and its covariance (3, 3), copied."""
         ...

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
+from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
+from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
 
+LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
 
 
@@ -21,7 +24,7 @@ def run(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
@@ -48,7 +51,7 @@ def prepare(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
@@ -69,7 +72,10 @@ def prepare(
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
         policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
+        king=King() if chosen["slam"].get("king") and associator != "oracle" else None,
     )  # fmt: skip
+    if slam.court.king is not None and chosen["slam"].get("loops"):
+        slam.court.loops = Loops()
     if start_map is not None:
         _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
     return slam
@@ -98,11 +104,11 @@ def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **give
 
 def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
     """The life cycle and the number of branches from `slam.` settings."""
-    known = [f.name for f in fields(LifeCycle)] + ["width", "faithful", "frozen"]
+    known = [f.name for f in fields(LifeCycle)] + [*LOOP]
     for key in values:
         if key not in known:
             raise UnknownName("setting of slam", key, known)
-    rest = {k: v for k, v in values.items() if k not in ("width", "faithful", "frozen")}
+    rest = {k: v for k, v in values.items() if k not in LOOP}
     policy = LifeCycle(**rest)
     if values.get("frozen"):
         from tomthumb.known_map import frozen_policy

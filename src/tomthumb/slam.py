@@ -17,8 +17,10 @@ import numpy as np
 from tomthumb import lifecycle
 from tomthumb.branches import Branch, Scan
 from tomthumb.checks import check_step
+from tomthumb.court import Court
 from tomthumb.errors import Diverged
 from tomthumb.kernels.gates import innovations, paired_distances
+from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
@@ -64,6 +66,7 @@ class Slam:
         teacher: Associator | None = None,
         teach_steps: int = 0,
         rng: tuple[Rng, Rng] | None = None,
+        king: King | None = None,
     ) -> None:
         self.motion, self.sensor = motion, sensor
         self.associator, self.estimator = associator, estimator
@@ -78,6 +81,7 @@ class Slam:
         self.surprise = Surprise()
         self.moved = math.inf  # m since the last scan: how much of it is news, for sensors that repeat their errors
         self.failure: str | None = None
+        self.court = Court(king)
 
     def stream(self, steps: Iterable[Step]) -> Iterator[StepRecord]:
         """Every step's record; ends early, with `failure` set, when the filter diverges."""
@@ -109,8 +113,8 @@ class Slam:
         return record
 
     def estimate(self) -> Estimate:
-        """What the best branch says now."""
-        return self.estimator.estimate(self.branches[0].belief)
+        """What the best branch says now; while the family is away from home, with the old map beside the new one."""
+        return self.court.whole(self.estimator.estimate(self.branches[0].belief))
 
     # --- prediction -------------------------------------------------------------------------------------------------
 
@@ -169,7 +173,8 @@ class Slam:
         self.clutter.count += float(np.count_nonzero(best.paired < 0))
         self.clutter.scans += 1.0
         self.branches = self._apart([c[0] for c in children])
-        return spent, children[0][3]
+        infos = children[0][3] | self.court.attend(self, scan)
+        return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
         """Branches, best first, without those that have come to agree with a better one, or fallen `HOPELESS` behind.
@@ -230,6 +235,11 @@ class Slam:
 
     # --- naming, update, life cycle ---------------------------------------------------------------------------------
 
+    def found(self, branch: Branch, scan: Scan) -> None:
+        """A branch without a map begins one with this scan."""
+        predictions = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        self._settle(branch, scan, predictions, [np.full(len(scan), -1, np.int64) for _ in predictions])
+
     def _settle(self, branch: Branch, scan: Scan, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
         """Names, update, evidence, promotions, deaths, births, merging, for one branch."""
         named = [np.where(m >= 0, p.ids[m], -1) if len(p) else m for p, m in zip(every, matches, strict=True)]
@@ -255,13 +265,13 @@ class Slam:
         if branch is self.branches[0]:
             self.surprise.record(_pair_distances(predictions, scan.raw, match, rows, _wrapped(self.sensor)))
         lifecycle.record_hits(branch.ledger, paired, d2, self.scan, self.policy)
-        self._opportunities(branch, predictions, set(paired))
+        self._opportunities(branch, predictions, set(paired), scan)
         lifecycle.record_companions(branch.ledger, paired)
         if scan.raw.labels is not None:
             for i, label in zip(paired, scan.raw.labels[rows].tolist(), strict=True):
                 branch.ledger[i].label = label if label >= 0 else branch.ledger[i].label
 
-    def _opportunities(self, branch: Branch, predictions: Predictions, hit: set[int]) -> None:
+    def _opportunities(self, branch: Branch, predictions: Predictions, hit: set[int], scan: Scan) -> None:
         """Who was well in view, and was or was not seen: for each landmark's existence and for the map of detection."""
         if predictions.visible is None or predictions.points is None or not len(predictions):
             return
@@ -272,6 +282,7 @@ class Slam:
         lifecycle.record_misses(branch.ledger, predictions.ids[missed], chance[missed])
         if predictions.stone is not None and branch is self.branches[0]:
             known = inside & predictions.stone
+            self.court.look(branch, predictions.ids, known, seen, chance, len(scan), self.scan)
             self.detection.record(predictions.points[known], seen[known])
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
@@ -285,7 +296,7 @@ class Slam:
         branch.belief = self.estimator.add(branch.belief, scan.raw, founded, self.rng_estimator)
         for row in np.flatnonzero(np.max(founded, axis=0) >= 0):
             label = -1 if scan.raw.labels is None else int(scan.raw.labels[row])
-            branch.ledger[int(scan.serials[row])] = Life(self.scan, label=label)
+            branch.ledger[int(scan.serials[row])] = Life(self.scan, label=label, born=self.scan)
             branch.crumbs.add(int(scan.serials[row]))
         return founded[0] >= 0, told[0][1]
 

@@ -52,7 +52,7 @@ class Job:
 
     scenario: str
     associator: str = "stt"
-    estimator: str = "ekf"
+    estimator: str = "iekf"
     seed: int = 0
     settings: Settings = field(default_factory=dict)
 

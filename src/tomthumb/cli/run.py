@@ -24,7 +24,7 @@ Map = Annotated[
 def run(
     scenario: common.ScenarioName,
     associator: common.AssociatorName = "stt",
-    estimator: common.EstimatorName = "ekf",
+    estimator: common.EstimatorName = "iekf",
     seed: common.Seed = 0,
     sets: common.Sets = None,
     config: common.Config = None,
