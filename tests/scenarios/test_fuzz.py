@@ -119,6 +119,14 @@ def test_a_directory_of_an_archive_with_a_name_that_is_no_text_is_named(tmp_path
         read_member(tmp_path / "a.zip", "DRS.txt")
 
 
+def test_an_integer_beyond_all_floats_is_named_in_one_short_line(tmp_path):
+    fuzz.write(tmp_path, OWN["csv"].files)
+    (tmp_path / "scenario.toml").write_text(f"[sensor]\nmax_range = {'9' * 400}\n")
+    with pytest.raises(TomThumbError, match=r"max_range=9+\.\.\.: a number is expected") as found:
+        load(f"csv:{tmp_path}")
+    assert len(str(found.value)) < 300
+
+
 def test_a_folder_a_missing_file_and_a_cut_archive_are_named(tmp_path):
     (tmp_path / "a.gz").write_bytes(gzip.compress(b"1 2 3" * 1000)[:-20])
     for path, words in ((tmp_path, "is a folder"), (tmp_path / "b", "no such file"), (tmp_path / "a.gz", "cannot be")):
