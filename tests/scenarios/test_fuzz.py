@@ -127,6 +127,17 @@ def test_an_integer_beyond_all_floats_is_named_in_one_short_line(tmp_path):
     assert len(str(found.value)) < 300
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("std = [1e200, 0.1]", "std must be finite, and at most"), ("model = [1]", r"model \[1\]: one of")],
+)
+def test_settings_beyond_all_reason_are_named(tmp_path, line, words):
+    fuzz.write(tmp_path, OWN["csv"].files)
+    (tmp_path / "scenario.toml").write_text(f"[sensor]\n{line}\n")
+    with pytest.raises(TomThumbError, match=words):
+        load(f"csv:{tmp_path}")
+
+
 def test_a_folder_a_missing_file_and_a_cut_archive_are_named(tmp_path):
     (tmp_path / "a.gz").write_bytes(gzip.compress(b"1 2 3" * 1000)[:-20])
     for path, words in ((tmp_path, "is a folder"), (tmp_path / "b", "no such file"), (tmp_path / "a.gz", "cannot be")):
