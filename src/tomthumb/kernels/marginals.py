@@ -74,15 +74,15 @@ def add_marginals(
 @jit
 def integrated(
     steps: Array, centres: Array, Ms: Array, wider: float, starts: Array, offsets: Array, columns: Array, gains: Array,
-    q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior: Array, gate2: float,
+    looks: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior: Array, gate2: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Marginals p (m, n) and none (m,) with the pose integrated out by importance sampling.
 
     Poses are drawn from an equal mixture of g Gaussians at centres (g, 3), covariance wider^2 Ms^-1, by the standard
     normal steps (g, S, 3). Given the pose the pairings are independent but for being one-to-one; each pose weighs its
     prior times the sum over all assignments (Bethe) over the mixture's density. Basin b lists its candidates in
-    columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1), with their `gains` at its pose, no gate
-    applied: the hopeless are left out.
+    columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1), with their `gains` at its pose, no gate applied (the
+    hopeless are left out), and what `looks` adds to gains.
     """
     g, S, m, n = steps.shape[0], steps.shape[1], q.shape[0], points.shape[0]
     logs, alone, done = np.empty(g * S), np.empty((g * S, m)), 0
@@ -90,11 +90,11 @@ def integrated(
     factors = np.empty((g, 3, 3))
     for b in range(g):
         factors[b] = wider * np.linalg.cholesky(np.linalg.inv(Ms[b]))
-        starts[b], kept = _hopeful(starts[b], columns[offsets[b] : offsets[b + 1]], gains[offsets[b] : offsets[b + 1]])
-        columns[offsets[b] : offsets[b] + kept.shape[0]] = kept
+        starts[b] = _shortened(starts[b], offsets[b], columns, looks, gains)
     for b in range(g):
         mine = columns[offsets[b] : offsets[b] + starts[b, m]]
         W, worth = _forms(starts[b], mine, R, D, base, odds)
+        worth += looks[offsets[b] : offsets[b] + mine.shape[0]]
         for s in range(S):
             pose = centres[b] + _turned(factors[b], steps[b, s])
             here = _at_pose(pose, W, worth, q, points, starts[b], mine, gate2)
@@ -116,16 +116,16 @@ def integrated(
 
 
 @jit
-def _hopeful(start: Array, columns: Array, gains: Array) -> tuple[Array, Array]:
-    """The lists without pairings that are HOPELESS nats or more below "unpaired"."""
-    kept_start, kept, count = np.zeros_like(start), np.empty_like(columns), 0
+def _shortened(start: Array, at: int, columns: Array, looks: Array, gains: Array) -> Array:
+    """New starts of a basin's lists without pairings HOPELESS nats below "unpaired"; columns and looks close up, in place."""
+    shorter, count = np.zeros_like(start), 0
     for i in range(start.shape[0] - 1):
         for k in range(start[i], start[i + 1]):
-            if gains[k] > HOPELESS:
-                kept[count] = columns[k]
+            if gains[at + k] > HOPELESS:
+                columns[at + count], looks[at + count] = columns[at + k], looks[at + k]
                 count += 1
-        kept_start[i + 1] = count
-    return kept_start, kept[:count]
+        shorter[i + 1] = count
+    return shorter
 
 
 @jit

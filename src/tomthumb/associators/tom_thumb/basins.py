@@ -88,18 +88,17 @@ def _leaders(matches: Ids, values: Array, reach: float) -> list[int]:
 
 
 def _looked_over(s: Rigid, pose: Array, M: Array, match: Ids, value: float, near: Window, gate2: float) -> Basin:
-    """A hypothesis with the gains of all its window's pairings."""
+    """A hypothesis with the gains of all its window's pairings; `value` and those by place, looks come to both."""
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
-    return Basin(
-        match, value, motion.left_out_gains(pose, M, match, *args, near.start, near.columns, gate2), near, pose, M
-    )
+    gains = motion.left_out_gains(pose, M, match, *args, near.start, near.columns, gate2)
+    return Basin(match, value + s.of_match(match), gains + s.of_looks(near), near, pose, M)
 
 
 def at_pose(s: Rigid, basin: Basin, gate2: float) -> Basin:
     """A hypothesis from the full covariance, with the pose that it implies."""
     near, args = basin.window, (s.q, s.R, s.p, s.D, s.base, s.odds)
     pose, M, value, gains = motion.place(basin.match, *args, s.prior, near.start, near.columns, gate2)
-    return Basin(basin.match, value, gains, near, pose, M)
+    return Basin(basin.match, value + s.of_match(basin.match), gains + s.of_looks(near), near, pose, M)
 
 
 def untangled(s: Rigid, basin: Basin) -> Basin:
@@ -108,14 +107,14 @@ def untangled(s: Rigid, basin: Basin) -> Basin:
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
     near, pose, best = basin.window, basin.pose, basin
     for _ in range(3):
-        gains = motion.pose_gains(pose, np.zeros((3, 3)), *args, near.start, near.columns, np.inf)
+        gains = motion.pose_gains(pose, np.zeros((3, 3)), *args, near.start, near.columns, np.inf) + s.of_looks(near)
         if motion.uncontested(gains, near.start, near.columns, best.match):
             break
         match = assigned(gains, near)
         if np.array_equal(match, best.match):
             break
         pose, M, value = motion.fit(pose, match, *args, s.prior, 2)
-        if value <= best.value:
+        if value + s.of_match(match) <= best.value:
             break
         best = _looked_over(s, pose, M, match, value, near, np.inf)
     return best

@@ -40,14 +40,17 @@ def sampled_marginals(
     offsets = np.concatenate([[0], np.cumsum(starts[:, -1])])
     columns = np.concatenate([b.window.columns for b in found])
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
-    gains = np.concatenate(
+    looks = np.concatenate([s.of_looks(b.window) for b in found])
+    gains = looks + np.concatenate(
         [
             motion.pose_gains(b.pose, P, *args, b.window.start, b.window.columns, np.inf)
             for b, P in zip(found, np.linalg.inv(Ms), strict=True)
         ]
     )
     steps = rng.standard_normal((len(found), samples, 3))
-    p, none = marginals.integrated(steps, centres, Ms, WIDER, starts, offsets, columns, gains, *args, s.prior, gate2)
+    p, none = marginals.integrated(
+        steps, centres, Ms, WIDER, starts, offsets, columns, gains, looks, *args, s.prior, gate2
+    )
     return p, none
 
 

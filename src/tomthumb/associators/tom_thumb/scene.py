@@ -38,8 +38,8 @@ class Window:
 class Rigid:
     """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
 
-    prior (3, 3) is the inverse of Xi;
-    allowed (m, n): pairings whose labels do not contradict each other, or None without labels.
+    prior (3, 3) is the inverse of Xi; allowed (m, n): pairings whose labels do not contradict each other, or None without
+    labels. evidence (m, n): what is added to the gains of pairings for their looks, or None.
     """
 
     q: Array
@@ -51,12 +51,36 @@ class Rigid:
     odds: Array
     prior: Array
     allowed: Mask | None = None
+    evidence: Array | None = None
+
+    def of_looks(self, near: Window) -> Array:
+        """Evidence of the pairings that are listed, (k,)."""
+        if self.evidence is None:
+            return np.zeros(len(near.columns))
+        listed: Array = self.evidence[np.repeat(np.arange(len(self.q)), near.counts), near.columns]
+        return listed
+
+    def of_match(self, match: Ids) -> float:
+        """Evidence of the pairings of a match (m,), together."""
+        rows = np.flatnonzero(match >= 0)
+        return 0.0 if self.evidence is None else float(self.evidence[rows, match[rows]].sum())
 
 
 def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
     """(m,) -log lambda0 of each observation and (n,) log odds of detection plus the memory's prior, in z's units."""
     odds = log_odds(problem)
     return kernel.own_gains(problem.z, problem.clutter, bool(problem.angles)), odds if prior is None else odds + prior
+
+
+def weighed(gains: Array, evidence: Array | None) -> Array:
+    """Gains (m, n) with the evidence of what observations and landmarks look like, where there is any."""
+    return gains if evidence is None else gains + evidence
+
+
+def base_table(problem: AssociationProblem) -> Array:
+    """Base gain (m, n) of each pairing: log P_D / (1 - P_D) - log lambda0 + evidence."""
+    base, odds = base_gains(problem, None)
+    return weighed(base[:, None] + odds[None], problem.evidence)
 
 
 def window(d2: Array, gate: float) -> Window:
@@ -85,7 +109,8 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
     )  # fmt: skip
     if not good:
         return None
-    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, np.linalg.inv(Xi), problem.allowed)
+    prior = np.linalg.inv(Xi)
+    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, prior, problem.allowed, problem.evidence)
 
 
 def lever(p: Array) -> Array:

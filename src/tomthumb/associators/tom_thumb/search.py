@@ -1,7 +1,7 @@
 """Simulated Tom Thumb names the landmarks: the joint posterior, searched by the family.
 
     0  window      candidates of each observation
-    1  quick path  a scan without ambiguity is done at once (branch and bound then takes one node an observation)
+    1  quick path  a scan in which nobody has two candidates, and no gain leaves a doubt, is done at once
     2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
     4  boots: stagnation makes the ruins larger
@@ -23,21 +23,19 @@ from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, weighed, window
 from tomthumb.kernels import posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
-from tomthumb.types import Array, Association, AssociationProblem, Ids
+from tomthumb.types import Array, Association, AssociationProblem, Ids, Lessons
 
 Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
 NOTHING = np.empty((0, 0))
 SMALL = 30  # observations from which a scan is large
-CERTAIN, FEW = (
-    6,
-    8.0,
-)  # observations, and mean candidates of each, up to which the certificate of a hard scan comes first
+CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
+FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -51,8 +49,10 @@ class TomThumb:
     budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
-    or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
-    memory: weigh candidates by who was seen with whom (STDP), within 2 nats; `lessons` is what was learned.
+    or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
+    to be done at once (0: never). hard: mean number of candidates from which pose basins are searched.
+    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
+    landmarks are remembered.
     """
 
     gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
@@ -73,7 +73,13 @@ class TomThumb:
     quick: float = 4.0
     hard: float = 1.5
     memory: bool = False
-    lessons: LogMemory = field(default_factory=LogMemory, repr=False)
+    recent: float = 3.0
+    clip: float = 2.0
+    size: int = 1000
+    lessons: LogMemory = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
@@ -82,15 +88,15 @@ class TomThumb:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         own, odds = base_gains(problem, prior)
-        near = window(problem.d2, self.gates[1])
+        near = window(problem.weighed_d2, self.gates[1])
         cov = np.ascontiguousarray(problem.predictions.cov)
-        if self.quick > 0.0 and near.start[-1] <= m and self.gates[0] >= self.gates[1]:
+        if self._may_be_quick(problem, near):
             clear, match, chance, value = unambiguous(
                 problem.innovation, cov, problem.R, own, odds, near.start, near.columns, self.quick
             )
             if clear:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
-        given = (problem.innovation, cov, problem.R, own[:, None] + odds)
+        given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         hard = self._is_hard(near)
@@ -109,6 +115,19 @@ class TomThumb:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
         if self.memory:
             self.lessons.learn(ids, t)
+
+    def recall(self, ids: Ids) -> Lessons | None:
+        """See `protocols.Learner`."""
+        return self.lessons.recall(ids) if self.memory else None
+
+    def remind(self, lessons: Lessons) -> None:
+        """See `protocols.Learner`."""
+        self.lessons.remind(lessons)
+
+    def _may_be_quick(self, problem: AssociationProblem, near: Window) -> bool:
+        """The quick path knows no looks and no first gate."""
+        few = near.start[-1] <= len(problem.z)
+        return bool(few and self.quick > 0.0 and problem.evidence is None and self.gates[0] >= self.gates[1])
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""

@@ -1,0 +1,212 @@
+"""What the loop does when the family flees, when the king carries it home, and when he closes a loop.
+
+`watch` says when to flee, `king` when to go home, `closing` when a loop is closed; here the branches are changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tomthumb.branches import Branch, Scan
+from tomthumb.closing import Closure, Loops, closure
+from tomthumb.geometry import compose, rotation
+from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
+from tomthumb.lifecycle import Life
+from tomthumb.protocols import Estimator, Rng
+from tomthumb.types import Array, Estimate, Ids, Mask
+from tomthumb.watch import Watch
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
+
+CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own frame
+
+
+@dataclass(slots=True)
+class Court:
+    """The king, where there is one, the watch, and what was left behind when the family fled."""
+
+    king: King | None
+    loops: Loops | None = None
+    watch: Watch = field(default_factory=Watch)
+    exile: Exile | None = None
+
+    def attend(self, slam: Slam, scan: Scan) -> dict[str, Any]:
+        """After each scan: flee, seek the way home, or look for a closed loop."""
+        if self.king is None or slam.index < slam.teach_steps:
+            return {}
+        if self.exile is None and self.watch.lost:
+            self.lose_the_way(slam, slam.branches[0])
+            slam.found(slam.branches[0], scan)
+        if self.exile is not None:
+            return self._seek(slam, self.king, self.exile)
+        return self._close(slam, self.king, scan)
+
+    def look(self, branch: Branch, ids: Ids, known: Mask, seen: Mask, chance: Array, count: int, scan: int) -> None:
+        """The landmarks `ids` (n,) of a scan of `count`: confirmed and due, seen, and with what chance of that (n,)."""
+        lives = [branch.ledger[i] for i in ids.tolist()]
+        old = np.array([life.born <= self.watch.since for life in lives], bool)
+        due = known & old
+        exist = np.array([life.exist for life in lives])
+        self.watch.look((chance * exist)[due], seen[due], count - int((seen & old).sum()), scan)
+
+    def lose_the_way(self, slam: Slam, branch: Branch) -> None:
+        """The pose of a branch is not believed any more: its map is put aside, a new one begun."""
+        self.exile, fresh = flee(slam.estimator, branch, slam.index, slam.rng_estimator)
+        slam.branches, self.watch = [fresh], Watch()
+
+    def whole(self, here: Estimate) -> Estimate:
+        """The estimate; while the family is away, with the old map beside the new one."""
+        return here if self.exile is None else both(self.exile.old, here)
+
+    def _seek(self, slam: Slam, king: King, away: Exile) -> dict[str, Any]:
+        here = slam.branches[0]
+        away.trail.append(slam.estimator.pose(here.belief)[0])
+        if len(away.trail) % king.every:
+            return {"king": "away"}
+        way = way_home(king, away, slam.estimator.estimate(here.belief), here.ledger, slam.sensor)
+        if way is None:
+            return {"king": "away"}
+        slam.branches = [go_home(slam.estimator, away, here, way, slam.index, slam.scan, slam.policy.hits)]
+        self.exile = None
+        return {"king": "home", "votes": way.fit.votes}
+
+    def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
+        if self.loops is None or slam.scan % self.loops.every or not len(scan):
+            return {}
+        best = slam.branches[0]
+        G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
+        noise = float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean()))
+        doubt = self.watch.since if self.watch.doubtful else None
+        found = closure(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, doubt, noise)
+        if found is None:
+            return {}
+        carry(slam.estimator, best, found, slam.index, slam.scan)
+        self.watch = Watch(since=slam.scan)
+        return {"king": "loop", "votes": found.way.fit.votes}
+
+
+def flee(estimator: Estimator[Any], branch: Branch, index: int, rng: Rng) -> tuple[Exile, Branch]:
+    """The old map put aside without its crumbs, and a new branch that begins at the pose that is believed."""
+    crumbs = np.array(sorted(branch.crumbs), np.int64)
+    branch.belief = estimator.forget(branch.belief, crumbs)
+    for i in crumbs.tolist():
+        del branch.ledger[i]
+        branch.events = (branch.events, "died", i, -1, index)
+    branch.crumbs = set()
+    old = estimator.estimate(branch.belief)
+    fresh = Branch(estimator.init(old.pose, CERTAIN, rng), {}, history=branch.history, events=branch.events)
+    return left_behind(branch, old), fresh
+
+
+def go_home(
+    estimator: Estimator[Any], away: Exile, here: Branch, way: Return, index: int, scan: int, wanted: int
+) -> Branch:
+    """The old branch with the robot where `way` says, the new map's landmarks merged into it or, if firm, added.
+
+    `wanted`: static hits that make a landmark of the new map firm.
+    """
+    local = estimator.estimate(here.belief)
+    pose, cov = pose_home(way.fit, *estimator.pose(here.belief))
+    home = away.home
+    home.belief = estimator.relocate(home.belief, pose, cov)
+    named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0 and j in home.ledger}
+    home.events = here.events
+    for i, j in named.items():
+        _inherit(home.ledger[j], here.ledger[i], scan)
+        home.events = (home.events, "merged", i, j, index)
+    _bring_along(estimator, home, here, way, local, named, index, wanted)
+    home.history = _moved_history(here, way.fit.motion, len(away.trail) - 1)
+    home.ids, home.paired = (_renamed(ids, named) for ids in (here.ids, here.paired))
+    return home
+
+
+def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int, scan: int) -> None:
+    """The robot and all that was born since are moved onto the old map, and what was mapped twice is merged."""
+    way = found.way
+    pose, cov = pose_home(way.fit, *estimator.pose(branch.belief))
+    local = estimator.estimate(branch.belief)
+    named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0}
+    young = np.array([branch.ledger[i].born > found.since for i in local.ids.tolist()], bool)
+    branch.belief = estimator.forget(branch.belief, local.ids[young])
+    branch.belief = estimator.relocate(branch.belief, pose, cov)
+    for k in np.flatnonzero(young).tolist():
+        i = int(local.ids[k])
+        life = branch.ledger.pop(i)
+        if i in named:
+            _inherit(branch.ledger[named[i]], life, scan)
+            branch.events = (branch.events, "merged", i, named[i], index)
+        elif local.stone[k]:
+            place, spread = _placed(way, local.landmarks[k], local.covs[k])
+            branch.belief = estimator.place(branch.belief, np.array([i]), place[None], spread[None])
+            branch.ledger[i] = life
+        else:
+            branch.events = (branch.events, "died", i, -1, index)
+    branch.crumbs.difference_update(local.ids[young].tolist())
+    branch.history = _moved_history(branch, way.fit.motion, scan - found.since)
+    branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
+
+
+def _inherit(life: Life, lost: Life, scan: int) -> None:
+    life.hits += lost.hits
+    life.chances += lost.hits
+    life.static += lost.static
+    life.looks = life.looks.and_also(lost.looks)
+    life.seen = scan
+
+
+def _bring_along(
+    estimator: Estimator[Any],
+    home: Branch,
+    here: Branch,
+    way: Return,
+    local: Estimate,
+    named: dict[int, int],
+    index: int,
+    wanted: int,
+) -> None:
+    """Landmarks that only the new map has: the firm ones are placed in the old one, the others end."""
+    for k, i in enumerate(local.ids.tolist()):
+        if i in named:
+            continue
+        if here.ledger[i].static < wanted:
+            home.events = (home.events, "died", i, -1, index)
+            continue
+        place, cov = _placed(way, local.landmarks[k], local.covs[k])
+        home.belief = estimator.place(home.belief, np.array([i]), place[None], cov[None])
+        home.ledger[i] = replace(here.ledger[i], companions=set())
+
+
+def _placed(way: Return, point: Array, cov: Array) -> tuple[Array, Array]:
+    """A landmark of the new map in the old one, with the uncertainty of the fit."""
+    R = rotation(way.fit.motion[2])
+    x, y = R @ point
+    J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+    return way.fit.motion[:2] + np.array([x, y]), R @ cov @ R.T + J @ way.fit.cov @ J.T
+
+
+def _moved_history(here: Branch, motion: Array, scans: int) -> Any:
+    """The history with the poses of the time away as the old map has them."""
+    nodes: list[Any] = []
+    node = here.history
+    while node is not None and len(nodes) < scans:
+        nodes.append(node)
+        node = node[0]
+    for _, ids, pose in reversed(nodes):
+        node = (node, ids, compose(motion, pose))
+    return node
+
+
+def _renamed(ids: Any, named: dict[int, int]) -> Any:
+    return np.array([named.get(i, i) for i in ids.tolist()], np.int64)
+
+
+def both(old: Estimate, here: Estimate) -> Estimate:
+    """The map of the time away beside the one that was left, each where the odometry would have it."""
+    joined = [
+        np.concatenate([getattr(old, name), getattr(here, name)]) for name in ("ids", "landmarks", "covs", "stone")
+    ]
+    return Estimate(here.pose, here.pose_cov, *joined)
