@@ -72,6 +72,17 @@ def add_marginals(
 
 
 @jit
+def spread_out(gains: Array, start: Array, columns: Array, n: int, rounds: int) -> tuple[Array, Array]:
+    """The marginals of one hypothesis as p (m, n) and none (m,)."""
+    p = np.zeros((start.shape[0] - 1, n))
+    chance, none, _log_z = marginals(gains, start, columns, n, rounds)
+    for i in range(none.shape[0]):
+        for k in range(start[i], start[i + 1]):
+            p[i, columns[k]] = chance[k]
+    return p, none
+
+
+@jit
 def integrated(
     steps: Array, centres: Array, Ms: Array, wider: float, starts: Array, offsets: Array, columns: Array, gains: Array,
     looks: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior: Array, gate2: float,

@@ -11,11 +11,16 @@ from tomthumb.kernels import marginals, motion
 from tomthumb.protocols import Rng
 from tomthumb.types import Array, Ids
 
+ROUNDS = 50  # of belief propagation, at most
 WIDER = 1.5  # poses are drawn from each basin's Gaussian, so many times wider: a weight must not explode in the tails
 
 
 def mixed_marginals(found: list[Basin], n: int) -> tuple[Array, Array]:
     """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins, each by its weight."""
+    if len(found) == 1:
+        near, gains = found[0].window, found[0].gains
+        alone: tuple[Array, Array] = marginals.spread_out(gains, near.start, near.columns, n, ROUNDS)
+        return alone
     weights = np.exp(np.array([b.value for b in found]) - found[0].value)
     weights /= weights.sum()
     m = len(found[0].match)
@@ -23,7 +28,7 @@ def mixed_marginals(found: list[Basin], n: int) -> tuple[Array, Array]:
     for basin, weight in zip(found, weights, strict=True):
         if weight >= 1e-4:
             near = basin.window
-            marginals.add_marginals(p, none, weight, basin.gains, near.start, near.columns, 50)
+            marginals.add_marginals(p, none, weight, basin.gains, near.start, near.columns, ROUNDS)
     return p, none
 
 

@@ -7,10 +7,10 @@ independent given the motion, and large motions need no linearisation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from tomthumb.associators.nearest import log_odds
 from tomthumb.kernels import scene as kernel
@@ -83,9 +83,14 @@ def base_table(problem: AssociationProblem) -> Array:
     return weighed(base[:, None] + odds[None], problem.evidence)
 
 
+def gate_of_two(gate: float) -> float:
+    """The chi-square value of a gate, 2 degrees of freedom."""
+    return -2.0 * math.log1p(-gate)
+
+
 def window(d2: Array, gate: float) -> Window:
     """Every landmark within `gate` of each observation, nearest first."""
-    return Window(*kernel.candidates(d2, float(chdtri(2, 1.0 - gate))))
+    return Window(*kernel.candidates(d2, gate_of_two(gate)))
 
 
 def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:

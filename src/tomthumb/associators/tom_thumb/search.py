@@ -23,7 +23,7 @@ from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, weighed, window
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
 from tomthumb.kernels import posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
@@ -198,15 +198,13 @@ class TomThumb:
             self.ambiguity, self.nodes, pool, values,
         )  # fmt: skip
         spent = {"nodes": info["nodes"] + nodes, "flights": sum(f[2] for f in flown)}
-        keep = np.flatnonzero(values > values[0] - self.ambiguity)[:4]
-        found = [_left_out(pool[k], float(values[k]), given, near) for k in keep]
-        return found, {**info, **spent, "proof": "optimal" if proven else "truncated"}
+        return self._kept(pool, values, given, near), {**info, **spent, "proof": "optimal" if proven else "truncated"}
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
     def _within(self, given: Given, near: Window, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
         """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
-        gate2 = float(chdtri(2, 1.0 - self.gates[1]))
+        gate2 = gate_of_two(self.gates[1])
         pool, values, nodes, proven = posterior.solve(
             *given, near.start, near.columns, gate2, self.ambiguity, self.nodes, POOL
         )
@@ -218,8 +216,12 @@ class TomThumb:
             match, total = posterior.complete(core, *given, near.start, near.columns, gate2)
             if not np.array_equal(match, pool[0]):  # the best is in a pose basin that the first gate rules out
                 return [_left_out(match, total, given, near)], {**info, "proof": "first gate"}
-        keep = np.flatnonzero(values > values[0] - self.ambiguity)[:4]
-        return [_left_out(pool[k], float(values[k]), given, near) for k in keep], info
+        return self._kept(pool, values, given, near), info
+
+    def _kept(self, pool: Ids, values: Array, given: Given, near: Window) -> list[Basin]:
+        """The hypotheses within `ambiguity` nats, four at most."""
+        some = list(zip(pool[:4], values[:4].tolist(), strict=True))
+        return [_left_out(match, value, given, near) for match, value in some if value > some[0][1] - self.ambiguity]
 
     def _flown(
         self, match: Ids, value: float, given: Given, near: Window, gate2: float, rng: Rng
