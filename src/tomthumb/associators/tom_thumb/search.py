@@ -50,7 +50,7 @@ class TomThumb:
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
-    to be done at once (0: never). hard: mean number of candidates from which pose basins are searched.
+    to be done at once (0: never). courage: nats that a pairing gains on top in an ambiguous scan. hard: mean number of candidates from which pose basins are searched.
     memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
     landmarks are remembered.
     """
@@ -71,6 +71,7 @@ class TomThumb:
     reach: float = 7.0
     sure: float = 0.98
     quick: float = 4.0
+    courage: float = 1.4
     hard: float = 1.5
     memory: bool = False
     recent: float = 3.0
@@ -96,10 +97,12 @@ class TomThumb:
             )
             if clear:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
+        hard = self._is_hard(near)
+        if hard and self.decide != "map":
+            own = own + self.courage  # few-pair hypotheses are many there: see docs/stt.md
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
-        hard = self._is_hard(near)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
         p, none = mixed_marginals(found, n) if found else (NOTHING, NOTHING)
         proven = info["proof"] == "optimal" and len(found) == 1
