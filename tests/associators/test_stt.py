@@ -197,3 +197,17 @@ def test_confidence_is_a_probability_and_matches_are_one_to_one(seed, m, n, bear
     assert ((found.confidence >= -1e-9) & (found.confidence <= 1 + 1e-9)).all()
     paired = found.match[found.match >= 0]
     assert len(np.unique(paired)) == len(paired)
+
+
+def test_a_basin_already_entered_is_not_entered_again():
+    problem, _, error = wide(np.random.default_rng(7), 20)
+    s, cell = rigid(problem, *base_gains(problem, None)), 0.5
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5), cell)
+    apart = np.array([0.3, 0.1])
+    rest = (*flights.fill_grid(s.p, cell), NO_LABELS, 27.6, apart, 3)
+    ends, _, _, values = motion.descend(np.array([error]), *args, *rest)
+    again = np.array([error, ends[0] + 0.05 * np.array([0.3, 0.0, 0.1]), ends[0] + np.array([2.0, 0.0, 0.0])])
+    _, _, matches, values = motion.descend(again, *args, *rest)
+    assert np.isfinite(values[[0, 2]]).all()
+    assert values[1] == -np.inf
+    assert (matches[1] == -1).all()
