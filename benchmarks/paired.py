@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ def run(table: Mapping[str, Any], home: Path, out: Path, workers: int) -> list[R
     grid = from_table(table, home)
 
     def show(rows: int, planned: int, failed: int) -> None:
-        print(f"\r{grid.name}: {rows} of {planned} runs, {failed} failed", end="", flush=True)
+        if sys.stderr.isatty():
+            print(f"\r{grid.name}: {rows} of {planned} runs, {failed} failed", end="", file=sys.stderr, flush=True)
 
     bench(grid, out, Where(workers), progress=show)
-    print()
     planned = {(run.scenario.label, run.seed) for run in grid.runs()}
     return [row for row in read_rows(journal_path(out)) if (row["scenario"], row["seed"]) in planned]
 
