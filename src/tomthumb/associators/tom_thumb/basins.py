@@ -56,7 +56,7 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
         s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, before, gate3, cell, *grid, apart,
         budget.basins, budget.poses, BEHIND,
     )  # fmt: skip
-    poses = np.concatenate([np.zeros((1, 3)), poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)]])
+    poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
     reach = 1.5 * np.sqrt(gate2 * _widest(s))
     seen = (reach, s.p, cell, *grid, NO_LABELS if s.allowed is None else s.allowed)
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
