@@ -1,4 +1,4 @@
-"""What each part is worth: `ablation.toml`, every row against the whole, paired over seeds, as one table.
+"""What each part is worth: `plans/ablation.toml`, every row against the whole, paired over seeds, as one table.
 
     python benchmarks/ablation.py --out bench/ablation [--seeds 5000..5049] [--workers 2] [--write docs/ablation.md]
     python benchmarks/ablation.py --only "without crumbs" "with the king"
@@ -140,7 +140,7 @@ def verdicts(rows: Sequence[Row], labels: Sequence[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench/ablation"))
-    parser.add_argument("--plan", type=Path, default=HOME / "ablation.toml")
+    parser.add_argument("--plan", type=Path, default=HOME / "plans" / "ablation.toml")
     parser.add_argument("--seeds")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--only", nargs="*", help="labels of rows")

@@ -1,4 +1,4 @@
-"""How much each number matters: `sensitivity.toml`, one plot a parameter, match rate and time over its range.
+"""How much each number matters: `plans/sensitivity.toml`, one plot a parameter, match rate and time over its range.
 
     python benchmarks/sensitivity.py --out bench/sensitivity [--seeds 7000..7019] [--workers 2] [--figures docs/figures]
     python benchmarks/sensitivity.py --only nodes slam.hits
@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="names of parameters")
     parser.add_argument("--figures", type=Path)
     options = parser.parse_args()
-    plan = tomllib.loads((HOME / "sensitivity.toml").read_text("utf-8"))
+    plan = tomllib.loads((HOME / "plans" / "sensitivity.toml").read_text("utf-8"))
     plan |= {"seeds": options.seeds} if options.seeds else {}
     for parameter in plan["parameter"]:
         name = name_of(parameter)
