@@ -1,6 +1,6 @@
 """What each part is worth: `plans/ablation.toml`, every row against the whole, paired over seeds, as one table.
 
-    python benchmarks/ablation.py --out bench/ablation [--seeds 5000..5049] [--workers 2] [--write docs/ablation.md]
+    python benchmarks/ablation.py --out bench/ablation [--seeds 5000..5049] [--workers 2] [--write docs/parts.md]
     python benchmarks/ablation.py --only "without crumbs" "with the king"
 
 Differences of the match rate (of single scans: of the share rightly decided) to "as it is", in percentage points, with

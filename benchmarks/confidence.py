@@ -1,6 +1,6 @@
 """Is STT as sure as it ought to be? Confidence against the share that is right, on single scans and within whole runs.
 
-    python benchmarks/confidence.py [--seeds 10] [--count 200] [--write docs/stt.md] [--figure docs/figures/confidence.svg]
+    python benchmarks/confidence.py [--seeds 10] [--count 200] [--write docs/parts.md] [--figure docs/figures/confidence.svg]
 
 Every pairing that was made is put into a bin by the confidence it was given; a bin is honest when as many are right. The
 second table leaves pairings below `least` unpaired: precision is the share right of those kept, recall the share of the

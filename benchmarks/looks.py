@@ -1,6 +1,6 @@
 """What diameters and classes are worth: simulated posts, confused classes, and the trunks of Victoria Park.
 
-    python benchmarks/looks.py --out bench/looks [--seeds 9000..9049] [--workers 2] [--write docs/stt.md]
+    python benchmarks/looks.py --out bench/looks [--seeds 9000..9049] [--workers 2] [--write docs/parts.md]
     python benchmarks/looks.py --log DATA/victoria_park --steps 20000
 
 Differences of the match rate to the same associator with looks ignored, in percentage points, with 95 % bootstrap

@@ -1,6 +1,6 @@
 """Does the memory help, does it harm? `memory.toml`, paired over seeds, as a table.
 
-    python benchmarks/memory.py --out bench/memory [--seeds 6000..6049] [--workers 2] [--write docs/stt.md]
+    python benchmarks/memory.py --out bench/memory [--seeds 6000..6049] [--workers 2] [--write docs/parts.md]
 
 Differences of the match rate to the same runs without memory, in percentage points, with 95 % bootstrap intervals by
 run; bold where a Wilcoxon test tells it from none after Holm's correction over the table.
