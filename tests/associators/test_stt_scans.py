@@ -77,3 +77,18 @@ def test_the_bayes_decision_is_the_best_expectation_over_every_hypothesis():
         match, whole = bayes(problem, 60.0)
         assert whole
         assert expected[np.flatnonzero((table.matches == match).all(1))[0]] >= max(expected) - 5e-3
+
+
+def test_an_exchange_that_lowers_the_posterior_is_not_decided():
+    """Two landmarks side by side: each observation, given the other's pairing, would rather have the other's landmark."""
+    scan = scans("mid", 5, 40, 1)[7]
+    found = TomThumb().associate(scan.problem(), np.random.default_rng(0))[0]
+    assert np.array_equal(found.match, scan.truth)
+
+
+def test_far_points_with_a_coarse_bearing_are_not_lost():
+    """At 500 m a bearing 1 deg wrong by three sigma puts a point .7 m beside the arc, with a range good to .1 m."""
+    cell = scans("sep", 100, 6, 1)
+    found = [TomThumb().associate(s.problem(), np.random.default_rng(0))[0] for s in cell]
+    right = [float((a.match == s.truth).mean()) for a, s in zip(found, cell, strict=True)]
+    assert np.mean(right) >= 0.998

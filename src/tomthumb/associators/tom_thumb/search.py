@@ -24,7 +24,7 @@ from scipy.special import chdtri
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
-from tomthumb.kernels import posterior
+from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
@@ -32,7 +32,6 @@ from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids, Lessons
 
 Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
-NOTHING = np.empty((0, 0))
 SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
@@ -50,7 +49,8 @@ class TomThumb:
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
-    to be done at once (0: never). courage: nats that a pairing gains on top in an ambiguous scan. hard: mean number of candidates from which pose basins are searched.
+    to be done at once (0: never). courage: nats that a pairing gains on top in an ambiguous scan. hard: mean number of
+    candidates from which a scan is ambiguous and pose basins are searched.
     memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
     landmarks are remembered.
     """
@@ -104,15 +104,19 @@ class TomThumb:
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
-        p, none = mixed_marginals(found, n) if found else (NOTHING, NOTHING)
-        proven = info["proof"] == "optimal" and len(found) == 1
-        scene = None if not hard or (proven and self._is_sure(p, none)) else rigid(problem, own, odds)
+        proven = info["proof"] == "optimal"
+        if found:
+            p, none = mixed_marginals(found, n)
+            if self._is_settled(
+                found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
+            ):
+                return self._decided(found, info, p, none)
+        scene = rigid(problem, own, odds)
         if scene is not None:
-            return self._over_poses(scene, near, found if info["proof"] == "optimal" else [], info, rng)
+            return self._over_poses(scene, near, found if proven or not hard else [], info, rng)
         if not found:
             found, info = self._within(given, near, rng)
-            p, none = mixed_marginals(found, n)
-        return self._decided(found, info, p, none)
+        return self._decided(found, info, *mixed_marginals(found, n))
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -142,23 +146,27 @@ class TomThumb:
         m = len(near.start) - 1
         return bool(m <= most and near.start[-1] <= FEW * m)
 
-    def _is_sure(self, p: Array, none: Array) -> bool:
-        """Every decision is so probable that it need not be looked at more closely."""
-        return float(np.maximum(p.max(1), none).min()) >= self.sure
+    def _is_settled(self, best: Basin, p: Array, none: Array, sure: float) -> bool:
+        """Every decision is at least so probable, and together they are the best hypothesis.
+
+        Where two observations contend for two landmarks, gains given all the others may favour the exchange of both.
+        """
+        match, chance, free = marginals.pick(p, none, self.least)
+        return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, scene: Rigid, near: Window, proven: list[Basin], info: dict[str, Any], rng: Rng
+        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], rng: Rng
     ) -> Sequence[Association]:  # fmt: skip
-        """The decision with the pose integrated out, over the proven hypotheses, or over the pose basins of anchors."""
+        """The decision with the pose integrated out, over the hypotheses known, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
-        found = [at_pose(scene, b, gate2) for b in proven]
+        found = [at_pose(scene, b, gate2) for b in known]
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
         p, none = mixed_marginals(found, len(scene.p))
-        if self.samples and (len(found) > 1 or not self._is_sure(p, none)):
+        if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
         return self._decided(found, info, p, none)
 
