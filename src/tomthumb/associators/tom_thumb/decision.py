@@ -77,3 +77,10 @@ def chances(match: Ids, p: Array, none: Array) -> Array:
     """Probability (m,) of each decision of a match."""
     chance: Array = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
     return chance
+
+
+def soberly(match: Ids, chance: Array, none: Array, bold: float) -> Array:
+    """Probability (m,) of each decision with the `bold` nats that every pairing was given taken from its own again."""
+    more = none * np.expm1(bold)
+    sober: Array = np.where(match >= 0, chance, chance * np.exp(bold)) / (1.0 + more)
+    return sober

@@ -15,14 +15,14 @@ hypotheses met: that is what maximises the expected number of right decisions, a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
-from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
+from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals, soberly
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -98,8 +98,8 @@ class TomThumb:
             if clear:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
         hard = self._is_hard(near)
-        if hard and self.decide != "map":
-            own = own + self.courage  # few-pair hypotheses are many there: see docs/stt.md
+        bold = self.courage if hard and self.decide != "map" else 0.0
+        own = own + bold  # hypotheses of few pairs are many in an ambiguous scan: see docs/stt.md
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
@@ -110,13 +110,13 @@ class TomThumb:
             if self._is_settled(
                 found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
             ):
-                return self._decided(found, info, p, none)
+                return self._decided(found, info, p, none, bold)
         scene = rigid(problem, own, odds)
         if scene is not None:
-            return self._over_poses(scene, near, found if proven or not hard else [], info, rng)
+            return self._over_poses(scene, near, found if proven or not hard else [], info, bold, rng)
         if not found:
             found, info = self._within(given, near, rng)
-        return self._decided(found, info, *mixed_marginals(found, n))
+        return self._decided(found, info, *mixed_marginals(found, n), bold)
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -157,8 +157,8 @@ class TomThumb:
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], rng: Rng
-    ) -> Sequence[Association]:  # fmt: skip
+        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], bold: float, rng: Rng
+    ) -> Sequence[Association]:
         """The decision with the pose integrated out, over the hypotheses known, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
         found = [at_pose(scene, b, gate2) for b in known]
@@ -168,7 +168,7 @@ class TomThumb:
         p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
-        return self._decided(found, info, p, none)
+        return self._decided(found, info, p, none, bold)
 
     def _budget(self) -> Budget:
         return Budget(self.anchors, self.basins, self.poses, self.reach)
@@ -191,7 +191,7 @@ class TomThumb:
                 found, info = distinct(others, self.reach), spent
         if not found:
             found, info = self._within(given, near, rng)
-        return self._decided(found, info, *mixed_marginals(found, len(odds)))
+        return self._decided(found, info, *mixed_marginals(found, len(odds)), 0.0)
 
     def _polished(
         self, matches: list[Ids], given: Given, near: Window, gate2: float, rng: Rng, info: dict[str, Any]
@@ -267,13 +267,18 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(self, found: list[Basin], info: dict[str, Any], p: Array, none: Array) -> Sequence[Association]:
-        """The decision by its probabilities, and what was found beside it."""
+    def _decided(
+        self, found: list[Basin], info: dict[str, Any], p: Array, none: Array, bold: float
+    ) -> Sequence[Association]:
+        """The decision by its probabilities, and what was found beside it; L and confidence without the courage in them."""
+        found = [replace(b, value=b.value - bold * int((b.match >= 0).sum())) for b in found] if bold else found
         best = found[0]
         if self.decide == "map":
             match, chance = best.match, chances(best.match, p, none)
         else:
             match, chance = most_probable(p, none, self.least)
+        if bold:
+            chance = soberly(match, chance, none, bold)
         first = Association(match, best.value, {**info, "objective": best.value, "basins": len(found)}, chance)
         return [first, *self._brothers(found[1:], best.value, match)] if len(found) > 1 else [first]
 
