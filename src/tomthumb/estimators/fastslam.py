@@ -6,6 +6,9 @@ updated at the drawn pose. With `version` 1 the pose is drawn from the odometry 
 crumb and count as unexplained, so they neither move nor weigh the particle. Stones in view that were not seen count
 against it.
 
+A particle cannot take back what it once believed, as a filter with cross-covariances can. Bearings that err alike from
+scan to scan turn its map for good, so they must not count as news: `estimators.echo` measures that, `whiten` heeds it.
+
 Particles are resampled before the next motion, so that ids given for each particle fit from `expect` to `add`; the
 heaviest is always the first.
 
@@ -24,7 +27,8 @@ from scipy.special import chdtri
 
 from tomthumb import geometry
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.estimators import pages
+from tomthumb.estimators import echo, pages
+from tomthumb.estimators.echo import Echo
 from tomthumb.estimators.pages import Pages
 from tomthumb.kernels import fastslam as kernel
 from tomthumb.kernels import particles
@@ -44,6 +48,7 @@ class Particles:
     log_weight: Array
     maps: Pages
     view: View | None = None
+    echo: Echo = field(default_factory=Echo)
     stats: dict[str, Any] = field(default_factory=lambda: {"nis": 0.0, "dof": 0, "iterations": 0})
 
     def weights(self) -> Array:
@@ -73,7 +78,8 @@ class FastSLAM:
     """`particles` many; `version` 2 or 1; resampled when the effective number falls below `resample` of them.
 
     `iterations` of the proposal's linearisation. `density`: observations per m2 and scan that no stone explains;
-    `negative`: stones in view that are not seen count. Raises `TomThumbError` for settings that cannot be.
+    `negative`: stones in view that are not seen count. `whiten`: the noise of angles is raised as far as their residuals
+    repeat themselves. Raises `TomThumbError` for settings that cannot be.
     """
 
     motion: Motion
@@ -84,6 +90,7 @@ class FastSLAM:
     iterations: int = 2
     density: float = 0.3
     negative: bool = True
+    whiten: bool = True
 
     def __post_init__(self) -> None:
         if self.particles < 1 or self.iterations < 1 or self.version not in (1, 2):
@@ -108,7 +115,8 @@ class FastSLAM:
     def fork(self, belief: Particles) -> Particles:
         """See `protocols.Estimator`."""
         b = belief
-        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), pages.copy(b.maps), b.view, dict(b.stats))
+        maps, heard = pages.copy(b.maps), echo.copy(b.echo)
+        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), maps, b.view, heard, dict(b.stats))
 
     def predict(self, belief: Particles, control: Control, rng: Rng) -> Particles:
         """See `protocols.Estimator`. Resamples first, where the last scan made it necessary."""
@@ -203,6 +211,8 @@ class FastSLAM:
             v = self._look(b)
             detect = min(self.sensor.detect, 0.999)
             b.log_weight += particles.missed(v.slots, v.chance, v.there, m.stone, slots, firm, detect)
+        if self.whiten:
+            R = R * self._listen(b, z, R, np.where(firm, slots, -1))
         shift, cov = self._propose(b, z, R, slots, firm)
         b.log_weight += ((~firm) @ np.log(self.density * self.sensor.scale(z))) if len(z) else 0.0
         self._draw(b, shift, cov, rng)
@@ -211,6 +221,17 @@ class FastSLAM:
         if not (np.isfinite(b.log_weight).any() and np.isfinite(b.pose).all()):
             raise Diverged("no particle explains the observations")
         return b
+
+    def _listen(self, b: Particles, z: Array, R: Array, slots: Ids) -> Array:
+        """By what R (m, 2, 2) is to be multiplied, from the residuals of the heaviest particle before the scan."""
+        points, _ = _of_each(b.pose[:1], slots[:1], b.maps)
+        residual = z - _expect(self.sensor, points)[0][0]
+        for k in self.sensor.angles:
+            residual[:, k] = geometry.wrap(residual[:, k])
+        raised = echo.listen(b.echo, slots[0], residual / np.sqrt(R[:, [0, 1], [0, 1]]))
+        raised[~self._wrapped()] = 1.0
+        factor: Array = np.sqrt(np.outer(raised, raised))
+        return factor
 
     def _propose(self, b: Particles, z: Array, R: Array, slots: Ids, firm: Mask) -> tuple[Array, Array]:
         """Each pose's Gaussian after the scan, in its own frame; weights and statistics are brought up to date."""
@@ -284,6 +305,7 @@ class FastSLAM:
     def forget(self, belief: Particles, ids: Ids) -> Particles:
         """See `protocols.Estimator`."""
         for i in ids.tolist():
+            echo.forget(belief.echo, belief.maps.slot[i])
             pages.forget(belief.maps, i)
         belief.view = None
         return belief
