@@ -1,6 +1,7 @@
 """Downloads from a local server: whole, resumed, broken off, too long, wrong, missing; paths that lead astray."""
 
 import hashlib
+import lzma
 import threading
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -53,7 +54,7 @@ def server():
 def source(url, *ways):
     digest = hashlib.sha256(DATA).hexdigest()
     files = tuple(RemoteFile(way, f"{way}.dat", len(DATA), digest) for way in ways)
-    return Source("test", "csv", url, "none", "nobody", files)
+    return Source("test", "csv", url, "none", "nobody", "all", files)
 
 
 def test_files_are_fetched_once(server, tmp_path):
@@ -111,7 +112,7 @@ def test_missing_files_and_servers_are_named(server, tmp_path):
 
 @pytest.mark.parametrize("local", ["../a", "/a", "a/../../b", "a\\b", ""])
 def test_paths_stay_in_the_folder(local):
-    raw = {"kind": "csv", "url": "", "licence": "", "citation": ""}
+    raw = {"kind": "csv", "url": "", "licence": "", "citation": "", "seen": ""}
     with pytest.raises(TomThumbError, match="out of the folder"):
         parse_source("x", raw | {"files": [{"remote": "a", "local": local, "bytes": 1, "sha256": "0" * 64}]})
     with pytest.raises(TomThumbError, match="KeyError"):
@@ -126,6 +127,7 @@ def test_the_list_of_sources_is_whole():
         assert source.kind in entries()
         assert source.files
         assert source.citation
+        assert source.seen
 
 
 @pytest.mark.data
@@ -133,3 +135,12 @@ def test_the_list_of_sources_is_whole():
 def test_the_logs_here_are_those_of_the_list(data_dir, name, folder):
     for file in sources()[name].files:
         assert is_right(data_dir / folder / file.local, file)
+
+
+@pytest.mark.data
+def test_the_fetched_mrclam_set_is_ours_without_trailing_blanks(data_dir):
+    for file in sources()["mrclam7"].files:
+        path = data_dir / "utias_mrclam" / "MRCLAM_Dataset7" / file.local
+        data = path.read_bytes() if path.exists() else lzma.decompress(path.with_name(file.local + ".xz").read_bytes())
+        plain = b"\n".join(line.rstrip(b" ") for line in data.split(b"\n"))
+        assert (len(plain), hashlib.sha256(plain).hexdigest()) == (file.bytes, file.sha256)

@@ -12,5 +12,5 @@ out=${2:?folder for journal and report}
 mkdir -p "$out"
 dask scheduler --host "$(hostname -f)" --port 8786 --scheduler-file "$out/scheduler.json" &
 trap 'kill %1' EXIT
-tomthumb bench "$grid" -o "$out" --dask "tcp://$(hostname -f):8786"
+tomthumb bench "$grid" -o "$out" --dask "tcp://$(hostname -f):8786" --patience 28800 # the workers may wait in the queue
 tomthumb report "$out"

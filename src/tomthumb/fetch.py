@@ -38,13 +38,16 @@ class RemoteFile:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A log that can be fetched. `kind` is the scenario that reads it."""
+    """A log that can be fetched. `kind` is the scenario that reads it; `seen` what of the address was found in an index
+    of public repositories (the addresses themselves were not tried when the list was made).
+    """
 
     name: str
     kind: str
     url: str
     licence: str
     citation: str
+    seen: str
     files: tuple[RemoteFile, ...]
 
 
@@ -58,7 +61,7 @@ def parse_source(name: str, raw: Mapping[str, Any]) -> Source:
     """A source out of a TOML table. Raises TomThumbError where a key is missing or a path leads out of the folder."""
     try:
         listed = tuple(RemoteFile(f["remote"], f["local"], int(f["bytes"]), f["sha256"]) for f in raw["files"])
-        source = Source(name, raw["kind"], raw["url"], raw["licence"], raw["citation"], listed)
+        source = Source(name, raw["kind"], raw["url"], raw["licence"], raw["citation"], raw["seen"], listed)
     except (KeyError, TypeError, ValueError) as error:
         raise TomThumbError(f"source {name}: {type(error).__name__}: {error}") from None
     for file in listed:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from tomthumb.types import Array, Association, AssociationProblem, Control, Estimate, Ids, Observations, Predictions
+from tomthumb.types import (
+    Array,
+    Association,
+    AssociationProblem,
+    Control,
+    Estimate,
+    Ids,
+    Lessons,
+    Observations,
+    Predictions,
+)
 
 Rng = np.random.Generator
 Belief = TypeVar("Belief")
@@ -90,6 +100,19 @@ class Associator(Protocol):
         ...
 
 
+@runtime_checkable
+class Learner(Protocol):
+    """What an associator offers besides if its lessons can be saved with a map and taught to another."""
+
+    def recall(self, ids: Ids) -> Lessons | None:
+        """What was learned about the landmarks `ids`; None where nothing is."""
+        ...
+
+    def remind(self, lessons: Lessons) -> None:
+        """Begin with these lessons instead of what was learned so far."""
+        ...
+
+
 class Estimator(Protocol[Belief]):
     """Belief in, belief out. The one passed in is spent (its arrays may be reused); `fork` copies."""
 
@@ -123,6 +146,10 @@ class Estimator(Protocol[Belief]):
 
     def merge(self, belief: Belief, keep: int, drop: int) -> Belief:
         """Two landmarks are one: the constraint l_keep = l_drop is applied and `drop` forgotten."""
+        ...
+
+    def relocate(self, belief: Belief, pose: Array, cov: Array) -> Belief:
+        """The robot stands elsewhere: pose (3,) with covariance (3, 3), which owe nothing to the map."""
         ...
 
     def pose(self, belief: Belief) -> tuple[Array, Array]:

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
+from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
+from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
+from tomthumb.protocols import Learner
 from tomthumb.slam import Slam
-from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
+from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
+LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
 
 
@@ -21,21 +25,24 @@ def run(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
+    lessons: Lessons | None = None,
     progress: Callable[[StepRecord], None] | None = None,
 ) -> Trace:
     """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
 
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
     "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`); it
-    goes on growing unless ``slam.frozen``. Raises `TomThumbError`.
+    goes on growing unless ``slam.frozen``; `lessons` are what an associator with a memory had learned about its landmarks
+    (`storage.load_lessons`). Raises `TomThumbError`.
     """
     slam = prepare(
-        scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map
-    )
+        scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map,
+        lessons=lessons,
+    )  # fmt: skip
     records = []
     for record in slam.stream(scenario.steps):
         records.append(record)
@@ -48,10 +55,11 @@ def prepare(
     scenario: Scenario,
     *,
     associator: Any = "stt",
-    estimator: Any = "ekf",
+    estimator: Any = "iekf",
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
+    lessons: Lessons | None = None,
 ) -> Slam:
     """A `Slam` ready for the scenario's steps: parts built by name, teacher hired, map loaded, random streams apart."""
     chosen: dict[str, dict[str, Any]] = {"associator": {}, "estimator": {}, "slam": {}}
@@ -69,18 +77,23 @@ def prepare(
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
         policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
+        king=King() if chosen["slam"].get("king") and associator != "oracle" else None,
     )  # fmt: skip
+    if slam.court.king is not None and chosen["slam"].get("loops"):
+        slam.court.loops = Loops()
     if start_map is not None:
-        _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
+        names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
+        if lessons is not None and isinstance(slam.associator, Learner):
+            slam.associator.remind(lessons.renamed(names))
     return slam
 
 
-def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> None:
+def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> dict[int, int]:
     from tomthumb.known_map import start_in
 
     if oracle or scenario.teach_steps:
         raise TomThumbError("the oracle knows landmarks by their first observation, not those of a saved map")
-    start_in(slam, start_map, frozen)
+    return start_in(slam, start_map, frozen)
 
 
 def _oracle(truth: Ids | None) -> Any:
@@ -98,11 +111,11 @@ def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **give
 
 def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
     """The life cycle and the number of branches from `slam.` settings."""
-    known = [f.name for f in fields(LifeCycle)] + ["width", "faithful", "frozen"]
+    known = [f.name for f in fields(LifeCycle)] + [*LOOP]
     for key in values:
         if key not in known:
             raise UnknownName("setting of slam", key, known)
-    rest = {k: v for k, v in values.items() if k not in ("width", "faithful", "frozen")}
+    rest = {k: v for k, v in values.items() if k not in LOOP}
     policy = LifeCycle(**rest)
     if values.get("frozen"):
         from tomthumb.known_map import frozen_policy
@@ -116,6 +129,7 @@ def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
     best = slam.branches[0]
     died, merged = _events(best)
     final_ids, final_pose = _history(best, len(records))
+    final, who = slam.estimate(), slam.associator
     return Trace(
         scenario=name,
         t=np.array([r.t for r in records]),
@@ -130,10 +144,11 @@ def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
         dof=np.array([r.dof for r in records], np.int64),
         died=died,
         merged=merged,
-        final=slam.estimate(),
+        final=final,
         failure=slam.failure,
         final_ids=_survivors(final_ids, merged),
         final_pose=final_pose,
+        lessons=who.recall(final.ids[final.stone]) if isinstance(who, Learner) else None,
     )
 
 

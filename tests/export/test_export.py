@@ -1,5 +1,7 @@
 import csv
 import json
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -96,6 +98,24 @@ def test_gif(run, tmp_path):
     export(trace, tmp_path / "a.gif", scenario=scenario)
     with Image.open(tmp_path / "a.gif") as image:
         assert image.n_frames == len(trace.t)
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
+def test_mp4_holds_every_frame_and_shows_the_run(run, tmp_path):
+    scenario, trace = run
+    export(trace, tmp_path / "a.mp4", scenario=scenario)
+    decode = ["ffmpeg", "-v", "error", "-i", str(tmp_path / "a.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(decode, capture_output=True, check=True).stdout
+    frames = np.frombuffer(raw, np.uint8).reshape(-1, 480, 480, 3).astype(int)
+    assert abs(len(frames) - len(trace.t)) <= 1
+    blue = (frames[..., 2] - frames[..., 0] > 60).sum((1, 2))
+    assert blue[-1] > 2 * blue[1]  # the way gets longer
+
+
+def test_mp4_without_ffmpeg_is_one_line(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(TomThumbError, match="needs ffmpeg"):
+        export(run[1], tmp_path / "a.mp4")
 
 
 def test_mistakes_are_named(run, tmp_path):

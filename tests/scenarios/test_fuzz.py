@@ -19,13 +19,13 @@ from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.scenarios import load
 from tomthumb.scenarios.reading import MAX_BYTES, numbers, read_bytes, read_member, table
 
-BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_loaders.py"
-spec = importlib.util.spec_from_file_location("fuzz_loaders", BENCHMARK)
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_targets.py"
+spec = importlib.util.spec_from_file_location("fuzz_targets", BENCHMARK)
 fuzz = importlib.util.module_from_spec(spec)
 sys.modules[spec.name] = fuzz
 spec.loader.exec_module(fuzz)
 OWN = fuzz.targets(None)
-LOGS = ("slsjf", "golden", "lost_in_the_woods", "car_park", "victoria_park")
+LOGS = ("slsjf",)
 
 
 def survive(target, seed):
@@ -60,21 +60,15 @@ def logs(folder, kept={}):  # noqa: B006 - built once
 def test_the_undamaged_files_are_read(name, tmp_path):
     if name == "track_yaml":
         pytest.importorskip("yaml", reason="needs the extra: cones")
-    write(OWN[name], tmp_path)
+    fuzz.write(tmp_path, OWN[name].files)
     assert len(load(OWN[name].spec.format(tmp_path)).steps) > 0
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", LOGS)
 def test_the_undamaged_logs_are_read(name, data_dir, tmp_path):
-    write(logs(data_dir)[name], tmp_path)
+    fuzz.write(tmp_path, logs(data_dir)[name].files)
     assert len(load(logs(data_dir)[name].spec.format(tmp_path)).steps) > 0
-
-
-def write(target, folder):
-    for name, data in target.files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
 
 
 @given(st.binary(max_size=300))
@@ -114,6 +108,34 @@ def test_zip_bombs_and_paths_that_lead_astray(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.zip"]
     with pytest.raises(BrokenFile, match="holds no other"):
         read_member(tmp_path / "a.zip", "other")
+
+
+def test_a_directory_of_an_archive_with_a_name_that_is_no_text_is_named(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("\u00e9\u00e9.txt", b"1 2 3")
+    data = (tmp_path / "a.zip").read_bytes()
+    (tmp_path / "a.zip").write_bytes(data.replace("\u00e9\u00e9".encode(), b"\x9a\x9a\x9a\x9a"))
+    with pytest.raises(BrokenFile, match="zip archive"):
+        read_member(tmp_path / "a.zip", "DRS.txt")
+
+
+def test_an_integer_beyond_all_floats_is_named_in_one_short_line(tmp_path):
+    fuzz.write(tmp_path, OWN["csv"].files)
+    (tmp_path / "scenario.toml").write_text(f"[sensor]\nmax_range = {'9' * 400}\n")
+    with pytest.raises(TomThumbError, match=r"max_range=9+\.\.\.: a number is expected") as found:
+        load(f"csv:{tmp_path}")
+    assert len(str(found.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("std = [1e200, 0.1]", "std must be finite, and at most"), ("model = [1]", r"model \[1\]: one of")],
+)
+def test_settings_beyond_all_reason_are_named(tmp_path, line, words):
+    fuzz.write(tmp_path, OWN["csv"].files)
+    (tmp_path / "scenario.toml").write_text(f"[sensor]\n{line}\n")
+    with pytest.raises(TomThumbError, match=words):
+        load(f"csv:{tmp_path}")
 
 
 def test_a_folder_a_missing_file_and_a_cut_archive_are_named(tmp_path):

@@ -1,7 +1,10 @@
 """Bags are written here, with rosbags, and read back through a mapping; no ROS is on the machine."""
 
+import bz2
 import contextlib
 import math
+import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,8 +14,10 @@ from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.export import export
 from tomthumb.geometry import compose
 from tomthumb.scenarios import load
+from tomthumb.scenarios.bag_files import BoundedPath
 
 exported = pytest.importorskip("tomthumb.export.rosbag", reason="needs the extra: ros", exc_type=ModuleNotFoundError)
+lz4_compress = pytest.importorskip("lz4.frame").compress
 Builder, nanoseconds = exported.Builder, exported.nanoseconds
 
 MAPPING = """
@@ -32,6 +37,14 @@ base = "base_link"
 max_range = 10.0
 fov_deg = 180
 """
+
+
+def zstd_compress(raw):
+    try:
+        from compression import zstd
+    except ModuleNotFoundError:
+        from backports import zstd
+    return zstd.compress(raw)
 
 
 def world():
@@ -214,6 +227,8 @@ def test_export_does_not_remove_what_is_no_bag(tmp_path):
         (('topic = "/landmarks"', 'topic = "/landmarks"\nx = "pose.position.q"'), "no field 'q'"),
         (('topic = "/truth"', 'topic = "/truth"\npose = "twist"'), "is not a pose"),
         (("[sensor]", "[sensor]\nmodel = 3"), "model 3"),
+        (('topic = "/truth"', ""), r"\[truth\] needs a topic"),
+        (('topic = "/landmarks"', 'topic = "/landmarks"\nstd = [0.1, 1e200]'), "std must be positive, and at most"),
     ],
 )
 def test_mistakes_in_the_mapping_are_named(tmp_path, change, words):
@@ -243,3 +258,45 @@ def _spoiled(data, rng):
     for k in rng.integers(0, len(out), 30):
         out[k] = rng.integers(256)
     return bytes(out)
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    monkeypatch.setattr("tomthumb.scenarios.bag_files.MAX_CHUNK", 8 << 20)
+    return 8 << 20
+
+
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4", b""])
+def test_lengths_that_lie_and_chunks_that_unfold_cost_little(tmp_path, compression, small_chunks):
+    write_ros2(tmp_path / "run", world(), markers, True)
+    file = next((tmp_path / "run").glob("*.mcap"))
+    data = file.read_bytes()
+    zeros = bytes(small_chunks + 1000)
+    packed = {b"zstd": zstd_compress, b"lz4": lz4_compress}.get(compression, lambda raw: raw[:100])(zeros)
+    length = 2**40 if not compression else 40 + len(compression) + len(packed)
+    chunk = struct.pack("<BQQQQII", 6, length, 0, 1, len(zeros), 0, len(compression)) + compression
+    file.write_bytes(data[:8] + chunk + struct.pack("<Q", len(packed)) + packed + data[8:])
+    tracemalloc.start()
+    with pytest.raises(BrokenFile, match="when unpacked" if compression else "not a readable bag"):
+        read(tmp_path, "run")
+    assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    tracemalloc.stop()
+
+
+def test_a_chunk_of_ros1_that_unfolds_is_refused(tmp_path, small_chunks):
+    packed = bz2.compress(bytes(small_chunks + 1000))
+    fields = b"".join(struct.pack("<I", len(f)) + f for f in (b"op=\x05", b"compression=bz2", b"size=\0\0\0\0"))
+    record = struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(packed)) + packed
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n" + record)
+    with pytest.raises(BrokenFile, match="when unpacked"):
+        read(tmp_path, "a.bag")
+
+
+def test_files_never_read_beyond_their_end(tmp_path):
+    (tmp_path / "a").write_bytes(b"x" * 200_000)
+    with BoundedPath(tmp_path / "a").open("rb") as stream:
+        stream.seek(150_000)
+        assert len(stream.read(2**50)) == 50_000
+        assert stream.read(2**50) == b""
+        stream.seek(300_000)
+        assert stream.read(2**50) == b""

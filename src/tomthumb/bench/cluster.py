@@ -18,15 +18,40 @@ from typing import Any
 
 from tomthumb.bench.execute import POISONED, Job, Row
 from tomthumb.bench.grid import UNBOUNDED, Limits
-from tomthumb.bench.session import Where
+from tomthumb.bench.session import Notice, Where
 from tomthumb.bench.supervisor import Strikes
 from tomthumb.bench.version import code_version
 from tomthumb.errors import TomThumbError
 
 TASK_S = 1.0  # of runs in a task: Dask's own 2 ms are then nothing, and a lost worker costs little
-PATIENCE_S = 120.0  # without a scheduler
 BACKLOG = 3  # tasks in flight for each thread of the cluster
 MOST = 256
+SAFE = "what was finished is safe; run again to continue"
+
+
+@dataclass(slots=True)
+class Drought:
+    """How long the scheduler at `address` has been without a worker: told once, and borne for `patience_s`."""
+
+    address: str
+    patience_s: float
+    notice: Notice
+    since: float | None = None
+
+    def look(self, threads: int, now: float) -> None:
+        """The cluster has so many threads at the time `now` s. Raises TomThumbError after too long with none."""
+        if threads:
+            self.since = None
+        elif self.since is None:
+            self.since = now
+            self.notice(
+                f"--dask {self.address}: the scheduler has no worker; waiting up to {self.patience_s:g} s for one"
+            )
+        elif now - self.since > self.patience_s:
+            raise TomThumbError(
+                f"--dask {self.address}: the scheduler has had no worker for {self.patience_s:g} s: start some "
+                f"(dask worker ADDRESS) or wait longer (--patience); {SAFE}"
+            )
 
 
 @dataclass(slots=True)
@@ -89,34 +114,35 @@ def run_on_cluster(
     limits: Limits = UNBOUNDED,
     strike: Callable[[str, Strikes, str], None] = lambda key, strikes, reason: None,
     strikes: Mapping[str, Strikes] | None = None,
-    patience_s: float = PATIENCE_S,
+    notice: Notice = lambda line: None,
 ) -> None:
     """Run `jobs` on the Dask cluster `where` says, through any number of losses.
 
-    Raises TomThumbError when no scheduler answers for `patience_s`, when Dask is not installed, or the code differs.
+    Raises TomThumbError when for `where.patience_s` no scheduler answers or it has no worker, when Dask is not
+    installed, or the code differs.
     """
     _dask()
+    fleet = Fleet(deque(jobs), record, limits, where.runner, strike, dict(strikes or {}))
     with _quiet():
-        _through_losses(
-            Fleet(deque(jobs), record, limits, where.runner, strike, dict(strikes or {})), where, patience_s
-        )
+        _through_losses(fleet, where, notice)
 
 
-def _through_losses(fleet: Fleet, where: Where, patience_s: float) -> None:
+def _through_losses(fleet: Fleet, where: Where, notice: Notice) -> None:
+    patience_s = where.patience_s
+    drought = Drought(str(where.dask), patience_s, notice)
     deadline = time.monotonic() + patience_s
     while fleet.jobs or fleet.flying:
         before = len(fleet.jobs)
         try:
             with _client(where) as client, client.as_current():
-                _fly(fleet, client)
+                _fly(fleet, client, drought)
         except (OSError, TimeoutError, asyncio.CancelledError, CancelledError, SchedulerLost) as reason:
             fleet.recall()
             if len(fleet.jobs) < before:
                 deadline = time.monotonic() + patience_s
             if time.monotonic() > deadline:
-                safe = "what was finished is safe; run again to continue"
                 raise TomThumbError(
-                    f"--dask {where.dask}: no scheduler for {patience_s:g} s ({reason}); {safe}"
+                    f"--dask {where.dask}: no scheduler for {patience_s:g} s ({reason}); {SAFE}"
                 ) from None
             time.sleep(1.0)
 
@@ -125,15 +151,17 @@ class SchedulerLost(Exception):
     """The cluster as we knew it is gone."""
 
 
-def _fly(fleet: Fleet, client: Any) -> None:
-    """Keep the cluster busy until all is home. Raises SchedulerLost."""
+def _fly(fleet: Fleet, client: Any, drought: Drought) -> None:
+    """Keep the cluster busy until all is home. Raises SchedulerLost, and TomThumbError when no worker comes."""
     from distributed import wait
 
     from tomthumb.bench.cluster_children import Children
 
     client.register_plugin(Children())
     while fleet.jobs or fleet.flying:
-        _launch(fleet, client)
+        threads = sum(client.nthreads().values())
+        drought.look(threads, time.monotonic())
+        _launch(fleet, client, max(1, threads))
         try:
             done = wait(list(fleet.flying), timeout=2.0, return_when="FIRST_COMPLETED").done
         except TimeoutError:
@@ -144,10 +172,9 @@ def _fly(fleet: Fleet, client: Any) -> None:
             _land(fleet, future)
 
 
-def _launch(fleet: Fleet, client: Any) -> None:
+def _launch(fleet: Fleet, client: Any, threads: int) -> None:
     from tomthumb.bench.cluster_children import work
 
-    threads = max(1, sum(client.nthreads().values()))
     while fleet.jobs and len(fleet.flying) < BACKLOG * threads:
         jobs = fleet.chunk(threads)
         fleet.flying[client.submit(work, jobs, fleet.limits, fleet.runner, code_version(), pure=False)] = jobs

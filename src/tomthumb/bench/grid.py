@@ -19,7 +19,7 @@ from tomthumb.config import in_radians, parse_sets
 from tomthumb.errors import BrokenFile, TomThumbError, UnknownName
 
 KEYS = ("name", "description", "seeds", "baseline", "measures", "level", "limits", "report", "claim", *KINDS)
-DEFAULT_USE = {"estimator": "ekf", "slam": "slam"}
+DEFAULT_USE = {"estimator": "iekf", "slam": "slam"}
 MOST_SEEDS = 10_000_000
 
 
@@ -122,7 +122,7 @@ def from_options(
 ) -> Grid:
     """The same by options. A list in `sets` is swept; its keys go to every part of the kind they are prefixed with."""
     settings = parse_sets(sets)
-    given = {"scenario": scenarios, "estimator": estimators or ["ekf"], "associator": associators or ["stt", "jcbb"]}
+    given = {"scenario": scenarios, "estimator": estimators or ["iekf"], "associator": associators or ["stt", "jcbb"]}
     table: dict[str, Any] = {
         kind: [{"use": use, **settings[kind]} for use in uses] for kind, uses in given.items() if uses
     }

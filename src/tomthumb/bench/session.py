@@ -19,18 +19,21 @@ from tomthumb.bench.version import environment
 from tomthumb.bench.worker import RUNNER
 from tomthumb.errors import TomThumbError
 
+PATIENCE_S = 120.0
 Progress = Callable[[int, int, int], None]  # rows, planned rows, rows that failed
+Notice = Callable[[str], None]  # a line for whoever waits
 
 
 @dataclass(frozen=True, slots=True)
 class Where:
     """Where the runs go: `workers` processes of this machine, or the Dask scheduler at `dask` ("local" for one of
-    ours).
+    ours), which may be away, or without workers, for `patience_s`.
     """
 
     workers: int = 1
     dask: str | None = None
     runner: str = RUNNER
+    patience_s: float = PATIENCE_S
 
     def __str__(self) -> str:
         return f"{self.workers} processes" if self.dask is None else f"dask {self.dask}"
@@ -80,11 +83,13 @@ def bench(
     shard: tuple[int, int] | None = None,
     retry: bool = False,
     progress: Progress = lambda rows, planned, failed: None,
+    notice: Notice = lambda line: None,
 ) -> Tally:
     """Run what has no row yet; every row is in the journal below `out` as soon as its run ends. Safe to call again.
 
     `shard` (k, n) takes the k-th of n parts of the worlds and a journal of its own. `retry` forgets rows that failed.
-    Raises TomThumbError before anything runs where the grid does not hold together.
+    `notice` is told what a cluster lets us wait for. Raises TomThumbError before anything runs where the grid does not
+    hold together, and when a cluster is of no use for too long.
     """
     if where.runner == RUNNER:
         validate(grid)
@@ -97,7 +102,7 @@ def bench(
         todo = [run for run in runs if run.key not in have]
         tally = Tally(len(runs), len(runs) - len(todo))
         progress(tally.before, tally.planned, 0)
-        _run(journal, todo, grid, where, tally, progress)
+        _run(journal, todo, grid, where, tally, (progress, notice))
     return tally
 
 
@@ -118,7 +123,10 @@ def plan(journal: Journal, grid: Grid, runs: Sequence[RunSpec]) -> None:
     journal.set_about(grid=grid.source, name=grid.name)
 
 
-def _run(journal: Journal, todo: Sequence[RunSpec], grid: Grid, where: Where, tally: Tally, progress: Progress) -> None:
+def _run(
+    journal: Journal, todo: Sequence[RunSpec], grid: Grid, where: Where, tally: Tally, told: tuple[Progress, Notice]
+) -> None:
+    progress, notice = told
     started, clock = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), time.monotonic()
 
     def record(rows: list[Row]) -> None:
@@ -132,7 +140,10 @@ def _run(journal: Journal, todo: Sequence[RunSpec], grid: Grid, where: Where, ta
         if where.dask is not None and jobs:
             from tomthumb.bench.cluster import run_on_cluster
 
-            run_on_cluster(jobs, record, where, limits=grid.limits, strike=journal.strike, strikes=journal.strikes())
+            run_on_cluster(
+                jobs, record, where, limits=grid.limits,
+                strike=journal.strike, strikes=journal.strikes(), notice=notice,
+            )  # fmt: skip
         elif jobs:
             run_jobs(
                 jobs, record, workers=where.workers, limits=grid.limits,

@@ -26,6 +26,7 @@ def bench(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder of journal, rows and report.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; all cores by default.")] = None,
     dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, or 'local'.")] = None,
+    patience: Annotated[float, typer.Option(min=1, help="Seconds without a Dask scheduler, or without workers.")] = 120,
     shard: Annotated[str | None, typer.Option(help="k/n: only this part, in a journal of its own.")] = None,
     merge: Annotated[bool, typer.Option("--merge", help="Unite the journals of the shards in --out.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say how many runs, and about how long.")] = False,
@@ -44,7 +45,7 @@ def bench(
 
     chosen = _grid(grid, scenario, estimator, associator, set_, seeds)
     folder = out or Path("bench") / chosen.name
-    where = Where(workers or cores(), dask)
+    where = Where(workers or cores(), dask, patience_s=patience)
     part = parse_shard(shard) if shard else None
     then = read_rows(against) if against else None  # before anything runs: it may not be readable
     if dry_run:
@@ -128,8 +129,11 @@ def _run(
         bar.start()  # first called when the grid is found to hold together
         bar.update(task, completed=rows, total=planned, failed=failed)
 
+    def say(line: str) -> None:
+        bar.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     try:
-        tally = bench(grid, folder, where, shard=part, retry=retry, progress=show)
+        tally = bench(grid, folder, where, shard=part, retry=retry, progress=show, notice=say)
     finally:
         if bar.live.is_started:
             bar.stop()

@@ -40,7 +40,12 @@ def _list(as_json: bool) -> None:
     from tomthumb.fetch import sources
 
     known = {
-        s.name: {"megabytes": round(sum(f.bytes for f in s.files) / 1e6, 1), "licence": s.licence, "from": s.url}
+        s.name: {
+            "megabytes": round(sum(f.bytes for f in s.files) / 1e6, 1),
+            "licence": s.licence,
+            "from": s.url,
+            "address_seen": s.seen,
+        }
         for s in sources().values()
     }
     if as_json:
@@ -48,6 +53,8 @@ def _list(as_json: bool) -> None:
         return
     for name, row in known.items():
         typer.echo(f"{name}: {row['megabytes']} MB, {row['licence']}, {row['from']}")
+        typer.echo(f"    of the address, an index of public repositories has: {row['address_seen']}")
+    typer.echo("Sizes and SHA-256 are those of copies on disk. The addresses were not tried when this list was made.")
 
 
 @contextmanager

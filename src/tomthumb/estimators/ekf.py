@@ -134,6 +134,15 @@ class EKF:
         local.forget(belief, drop)
         return belief
 
+    def relocate(self, belief: Atlas, pose: Array, cov: Array) -> Atlas:
+        """See `protocols.Estimator`. Calibration states keep what they know."""
+        local.leave(belief)
+        whole = belief.whole
+        whole.x[:3] = pose
+        whole.P[:3, :3] = cov
+        whole.P[3 : whole.dim, :3] = 0.0
+        return belief
+
     def pose(self, belief: Atlas) -> tuple[Array, Array]:
         """See `protocols.Estimator`."""
         active = belief.active

@@ -322,6 +322,13 @@ class FastSLAM:
             kernel.boxes(np.array([k]), m.table, m.mean, m.has, m.box)
         return self.forget(b, np.array([drop]))
 
+    def relocate(self, belief: Particles, pose: Array, cov: Array) -> Particles:
+        """See `protocols.Estimator`: the particles keep their maps; each stands there with the whole uncertainty."""
+        belief.pose[:] = pose
+        belief.cov[:] = cov
+        belief.view = None
+        return belief
+
     def pose(self, belief: Particles) -> tuple[Array, Array]:
         """See `protocols.Estimator`: mean and covariance of the mixture; headings are averaged on the circle."""
         w, x = belief.weights(), belief.pose

@@ -89,7 +89,7 @@ def _section(raw: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
 
 def _build(section: Mapping[str, Any], known: Mapping[str, Callable[..., Any]], default: str, where: str) -> Any:
     name = section.get("model", default)
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise TomThumbError(f"{where}: model {name!r}: one of {', '.join(known)}")
     given = {key: value for key, value in section.items() if key != "model"}
     values = convert(known[name], given, where, skip=("rates", "angles"))
@@ -108,8 +108,8 @@ def _sound(key: str, value: Any, where: str) -> None:
         raise TomThumbError(f"{where}: detect must be above 0 and at most 1")
     if key in ("max_range", "fov", "wheel_base") and not numbers[0] > 0:
         raise TomThumbError(f"{where}: {key} must be above 0")
-    if key != "max_range" and not all(map(math.isfinite, numbers)):
-        raise TomThumbError(f"{where}: {key} must be finite")
+    if key != "max_range" and not all(abs(v) <= MAX_NUMBER for v in numbers):
+        raise TomThumbError(f"{where}: {key} must be finite, and at most {MAX_NUMBER:g}")
 
 
 def _model(model: object, known: Mapping[str, Callable[..., Any]], part: str) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
         return value
     if origin is typing.Literal:
         if value not in args:
-            raise TomThumbError(f"{where}={value!r}: one of {', '.join(map(str, args))}")
+            raise TomThumbError(f"{where}={_shown(value)}: one of {', '.join(map(str, args))}")
         return value
     if origin in (typing.Union, types.UnionType):
         if value is None or (isinstance(value, str) and value.lower() == "none"):
@@ -79,10 +79,10 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
 def _tuple(value: Any, args: tuple[Any, ...], where: str) -> tuple[Any, ...]:
     items = value.split(",") if isinstance(value, str) else value
     if not isinstance(items, list | tuple):
-        raise TomThumbError(f"{where}={value!r}: a list is expected")
+        raise TomThumbError(f"{where}={_shown(value)}: a list is expected")
     kinds = [args[0]] * len(items) if len(args) == 2 and args[1] is Ellipsis else list(args)
     if len(items) != len(kinds):
-        raise TomThumbError(f"{where}={value!r}: {len(kinds)} values are expected")
+        raise TomThumbError(f"{where}={_shown(value)}: {len(kinds)} values are expected")
     return tuple(_typed(item, kind, where) for item, kind in zip(items, kinds, strict=True))
 
 
@@ -93,18 +93,26 @@ def _simple(value: Any, hint: Any, where: str) -> Any:
         try:
             number = float(value)
             whole = int(value) if hint is int and not isinstance(value, float) else None
-        except ValueError:
-            raise TomThumbError(f"{where}={value!r}: a {'whole ' if hint is int else ''}number is expected") from None
+        except (ValueError, OverflowError):  # the latter for an integer beyond all floats
+            raise TomThumbError(
+                f"{where}={_shown(value)}: a {'whole ' if hint is int else ''}number is expected"
+            ) from None
         if hint is int:
             return whole if whole is not None else _whole(number, where)
         if math.isnan(number):
-            raise TomThumbError(f"{where}={value!r}: not a number")
+            raise TomThumbError(f"{where}={_shown(value)}: not a number")
         return number
     if hint is Path and isinstance(value, str | Path):
         return Path(value)
     if hint is str and isinstance(value, str):
         return value
-    raise TomThumbError(f"{where}={value!r}: {getattr(hint, '__name__', hint)} is expected")
+    raise TomThumbError(f"{where}={_shown(value)}: {getattr(hint, '__name__', hint)} is expected")
+
+
+def _shown(value: Any) -> str:
+    """The value as it stands in a message: not more of it than fits."""
+    text = repr(value)
+    return text if len(text) < 100 else f"{text[:80]}..."
 
 
 def _whole(number: float, where: str) -> int:
@@ -121,4 +129,4 @@ def _bool(value: Any, where: str) -> bool:
         return True
     if text in _FALSE:
         return False
-    raise TomThumbError(f"{where}={value!r}: true or false is expected")
+    raise TomThumbError(f"{where}={_shown(value)}: true or false is expected")

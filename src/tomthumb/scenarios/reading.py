@@ -6,6 +6,7 @@ import bz2
 import gzip
 import io
 import lzma
+import struct
 import zipfile
 import zlib
 from array import array
@@ -27,6 +28,7 @@ MAX_VALUES = 20_000_000
 MAX_NUMBER = 1e30  # larger than any length, time or information in SI units; products of such numbers stay finite
 CHUNK = 1 << 20
 BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error, zipfile.BadZipFile, NotImplementedError, RuntimeError)
+BROKEN_ZIP = (UnicodeDecodeError, struct.error, OverflowError)  # a damaged directory of an archive: names, fields
 
 _OPENERS: dict[bytes, Callable[[Any], Any]] = {b"\x1f\x8b": gzip.open, b"\xfd7zXZ": lzma.open, b"BZh": bz2.open}
 
@@ -61,7 +63,7 @@ def read_member(path: Path, member: str, limit: int = MAX_BYTES) -> bytes:
             return _read(stream, Path(f"{path}/{member}"), limit)
     except KeyError:
         raise BrokenFile(path, f"holds no {member}") from None
-    except BROKEN as error:
+    except (*BROKEN, *BROKEN_ZIP) as error:
         raise BrokenFile(path, f"cannot be read as a zip archive: {error}") from error
 
 

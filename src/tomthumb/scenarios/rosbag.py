@@ -16,9 +16,10 @@ import numpy as np
 
 from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.geometry import between
+from tomthumb.scenarios.bag_files import BoundedPath, check_bag
 from tomthumb.scenarios.layout import parse_header
 from tomthumb.scenarios.params import convert, unknown_key
-from tomthumb.scenarios.reading import Steps, increasing, known, pose_at, read_text
+from tomthumb.scenarios.reading import MAX_NUMBER, Steps, increasing, known, pose_at, read_text
 from tomthumb.scenarios.ros_messages import attribute, dictionary_of, mount_from_tf, planar, records
 from tomthumb.scenarios.timeline import Scan, steps, timeline
 from tomthumb.types import Array, Control, Ids, Observations, Scenario, Step, Truth
@@ -140,8 +141,8 @@ def read_mapping(path: Path, bag: Path | None = None) -> BagMapping:
     for key in raw:
         if key not in KEYS:
             raise TomThumbError(unknown_key(str(path), key, KEYS))
-    for key in ("odometry", "observations"):
-        if "topic" not in raw.get(key, {}):
+    for key in ("odometry", "observations", *(k for k in ("truth",) if k in raw)):
+        if not isinstance(raw.get(key, {}), dict) or "topic" not in raw.get(key, {}):
             raise TomThumbError(f"{path}: [{key}] needs a topic")
     odometry = _table(Odometry, raw, "odometry", path)
     header: dict[str, Any] = {key: raw[key] for key in ("name", "motion", "prior", "scoring") if key in raw}
@@ -151,10 +152,13 @@ def read_mapping(path: Path, bag: Path | None = None) -> BagMapping:
     named = bag if bag is not None else path.parent / str(raw.get("bag", ""))
     if bag is None and "bag" not in raw:
         raise TomThumbError(f'{path}: no bag is named: bag = "PATH" or ?bag=PATH')
+    landmarks = _table(Landmarks, raw, "observations", path)
+    if not all(0 < std <= MAX_NUMBER for std in landmarks.std):
+        raise TomThumbError(f"{path}: observations: std must be positive, and at most {MAX_NUMBER:g}")
     return BagMapping(
         Path(named),
         odometry,
-        _table(Landmarks, raw, "observations", path),
+        landmarks,
         _table(GroundTruth, raw, "truth", path) if "truth" in raw else None,
         _table(Mount, raw, "mount", path) if "mount" in raw else None,
         header,
@@ -218,7 +222,8 @@ def messages(bag: Path, topics: set[str], *, tf: bool) -> Iterator[tuple[str, fl
     if not bag.exists():
         raise BrokenFile(bag, "no such bag")
     try:
-        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        check_bag(bag)
+        with AnyReader([BoundedPath(bag)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             there = {c.topic for c in reader.connections}
             _all_there(topics, there, bag)
             wanted = [c for c in reader.connections if c.topic in topics or (tf and c.msgtype.endswith("TFMessage"))]

@@ -1,0 +1,157 @@
+"""A constellation: a few landmarks whose places relative to each other are well known, looked for in a large map.
+
+The same move as the anchored flights of one scan, with the landmarks of the recent trail in place of the scan: a pair of
+local points and a pair of map points of equal distance give a motion, the other points vote, the best basins are refined.
+Nothing is linearised, and no prior is needed. References: T. Bailey, E. Nebot, "Localisation in
+large-scale environments", Robotics and Autonomous Systems 37, 2001 (the idea of matching constellations).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tomthumb.geometry import rotation, to_world, wrap_angle
+from tomthumb.kernels import constellation as kernel
+from tomthumb.types import Array, Ids
+
+ANCHORS = 20  # pairs of local points that give motions
+BASINS = 16  # motions refined
+BUDGET = 2_000_000  # motions tried at most
+GATE = 3.5  # standard deviations of a vote
+BEND = 0.01  # m per m: how much a local map may be bent by what its covariance does not know
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A local map laid on a large one: p = R(theta) q + t for motion (x, y, theta), covariance (3, 3) of the motion.
+
+    match (k,): map point of each local point, or -1. votes: pairs, gain: nats they speak for the motion.
+    """
+
+    motion: Array
+    cov: Array
+    match: Ids
+    votes: int
+    gain: float
+
+
+def fits(q: Array, covs: Array, points: Array, also: Array | None = None) -> list[Fit]:
+    """All good ways to lay local points q (k, 2) m, covariances (k, 2, 2) m2, on map points (n, 2) m, best first.
+
+    `also` (3,) is a motion that is refined in any case (where the robot believes it is).
+    """
+    if len(q) < 3 or len(points) < 3:
+        return []
+    centre = q.mean(0)
+    at = q - centre
+    spread = _spread(covs)
+    gain = _gains(spread, points)
+    cell = GATE * float(spread.max())
+    grid = kernel.sort_cells(points, cell)
+    anchors, tolerance = _anchors(at, spread)
+    size = max(float(np.abs(at).max()), 1e-9)
+    apart = np.array([2.0 * spread.mean(), 2.0 * spread.mean() / size])
+    motions, votes, _ = kernel.search(
+        at, spread, gain, anchors, tolerance, points, cell, *grid, apart, BASINS, BUDGET
+    )  # fmt: skip
+    starts = [m for m, v in zip(motions, votes, strict=True) if np.isfinite(v)]
+    if also is not None:
+        starts.append(np.append(rotation(also[2]) @ centre + also[:2], also[2]))
+    found = [_refined(m, at, spread, gain, points, cell, grid) for m in starts]
+    return [_about(fit, centre) for fit in _distinct(found, apart)]
+
+
+def _spread(covs: Array) -> Array:
+    """Standard deviation (k,) m of a vote: the point's own, beside a map point that is about as well known."""
+    own = np.sqrt(np.maximum(0.5 * np.trace(covs, axis1=1, axis2=2), 1e-8))
+    spread: Array = np.hypot(own, np.median(own))
+    return spread
+
+
+def _gains(spread: Array, points: Array) -> Array:
+    """log(1 / (2 pi s2 density)), at most 5 nats: how much less a vote is to be expected by chance."""
+    density = 1.0 / np.maximum(4.0 * np.median(spacing(points)) ** 2, 1e-9)
+    gains: Array = np.clip(-np.log(2.0 * np.pi * spread**2 * density), 0.5, 5.0)
+    return gains
+
+
+def spacing(points: Array) -> Array:
+    """Distance (n,) m of each point to its nearest neighbour."""
+    from scipy.spatial import cKDTree
+
+    distance: Array = cKDTree(points).query(points, k=2)[0][:, 1]
+    return distance
+
+
+def _anchors(q: Array, spread: Array) -> tuple[Ids, Array]:
+    """Pairs of local points, long baseline first, each used at most three times; tolerance m on their distance."""
+    a, b = np.triu_indices(len(q), 1)
+    length = np.hypot(*(q[a] - q[b]).T)
+    times = np.zeros(len(q), np.int64)
+    chosen: list[int] = []
+    for k in np.argsort(-length, kind="stable").tolist():
+        if times[a[k]] < 3 and times[b[k]] < 3 and len(chosen) < ANCHORS:
+            times[[a[k], b[k]]] += 1
+            chosen.append(k)
+    picked = np.array(chosen, np.int64)
+    tolerance: Array = 2.5 * np.hypot(spread[a[picked]], spread[b[picked]]) + BEND * length[picked]
+    return np.column_stack([a[picked], b[picked]]), tolerance
+
+
+def _refined(
+    motion: Array, q: Array, spread: Array, gain: Array, points: Array, cell: float, grid: tuple[Array, ...]
+) -> Fit:
+    """Pair up and lay on by least squares, three times over."""
+    cov = np.eye(3)
+    match = np.full(len(q), -1, np.int64)
+    for _ in range(3):
+        match = kernel.pair_up(motion, q, GATE * spread, points, cell, *grid)
+        rows = np.flatnonzero(match >= 0)
+        if len(rows) < 2:
+            return Fit(motion, cov, match, len(rows), -np.inf)
+        motion, cov = _laid(q[rows], points[match[rows]], spread[rows])
+    gaps = points[match[rows]] - to_world(motion, q[rows])
+    total = float((gain[rows] - 0.5 * (gaps**2).sum(1) / spread[rows] ** 2).sum())
+    return Fit(motion, cov, match, len(rows), total)
+
+
+def _laid(q: Array, p: Array, spread: Array) -> tuple[Array, Array]:
+    """The motion of weighted least squares that carries q to p (closed form), and its covariance."""
+    w = 1.0 / spread**2
+    share = w / w.sum()
+    mq, mp = share @ q, share @ p
+    dq, dp = q - mq, p - mp
+    dot, cross = (w * (dq * dp).sum(1)).sum(), (w * (dq[:, 0] * dp[:, 1] - dq[:, 1] * dp[:, 0])).sum()
+    theta = float(np.arctan2(cross, dot))
+    motion = np.append(mp - rotation(theta) @ mq, theta)
+    turned = to_world(np.array([0.0, 0.0, theta]), q)
+    J = np.zeros((len(q), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1.0
+    J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
+    cov: Array = np.linalg.inv(np.einsum("k,kia,kib->ab", w, J, J))
+    return motion, cov
+
+
+def _distinct(found: list[Fit], apart: Array) -> list[Fit]:
+    """The best of each basin, best first."""
+    kept: list[Fit] = []
+    for fit in sorted(found, key=lambda f: -f.gain):
+        near = [
+            np.hypot(*(fit.motion[:2] - other.motion[:2])) < apart[0]
+            and abs(wrap_angle(fit.motion[2] - other.motion[2])) < apart[1]
+            for other in kept
+        ]
+        if np.isfinite(fit.gain) and not any(near):
+            kept.append(fit)
+    return kept
+
+
+def _about(fit: Fit, centre: Array) -> Fit:
+    """The motion of points about their centre as one of the points themselves."""
+    x, y = rotation(fit.motion[2]) @ centre
+    J = np.eye(3)
+    J[0, 2], J[1, 2] = y, -x
+    motion = np.array([fit.motion[0] - x, fit.motion[1] - y, fit.motion[2]])
+    return Fit(motion, J @ fit.cov @ J.T, fit.match, fit.votes, fit.gain)

@@ -1,0 +1,47 @@
+"""The watch: is the pose still right? What ought to be seen and is not, together with what is seen and ought not to be.
+
+Either alone has other reasons: new country shows what is unknown, a blind sensor misses what is known. A wrong pose does
+both at once, so missing landmarks count only as far as there are unexplained observations beside them. What was mapped
+since the first doubt proves nothing: a wrong pose confirms its own new landmarks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tomthumb.types import Array, Mask
+
+BY_CHANCE = 0.3  # how often, when lost, an expected landmark finds a partner, relative to when not
+SURE = 0.95  # no landmark is seen more surely than that
+LEAK = 0.95  # per scan: doubts that nothing feeds are forgotten
+ALARM = 12.0  # nats: one false alarm in 10^5 independent looks
+
+
+@dataclass(slots=True)
+class Watch:
+    """One-sided CUSUM of log P(scan | lost) - log P(scan | here) over the confirmed landmarks that are due.
+
+    `since` is the scan of the last look without doubt; landmarks born later are not asked. References: E. Page,
+    Biometrika 41, 1954.
+    """
+
+    level: float = 0.0
+    since: int = 0
+
+    def look(self, chance: Array, seen: Mask, unexplained: int, scan: int) -> None:
+        """`chance` (n,) of seeing each confirmed landmark well in view, `seen` (n,); observations that none explains."""
+        here = np.minimum(chance, SURE)
+        missed = ~seen
+        against = float(np.log((1.0 - BY_CHANCE * here[missed]) / (1.0 - here[missed])).sum())
+        share = min(1.0, unexplained / max(int(missed.sum()), 1))
+        self.level = LEAK * self.level + share * against + float(seen.sum()) * math.log(BY_CHANCE)
+        if self.level <= 0.0:
+            self.level, self.since = 0.0, scan
+
+    @property
+    def lost(self) -> bool:
+        """The family should flee."""
+        return self.level > ALARM
