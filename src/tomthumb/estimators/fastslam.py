@@ -27,7 +27,7 @@ from scipy.special import chdtri
 
 from tomthumb import geometry
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.estimators import echo, pages
+from tomthumb.estimators import echo, mixture, pages
 from tomthumb.estimators.echo import Echo
 from tomthumb.estimators.pages import Pages
 from tomthumb.kernels import fastslam as kernel
@@ -49,6 +49,7 @@ class Particles:
     maps: Pages
     view: View | None = None
     echo: Echo = field(default_factory=Echo)
+    named: Ids = field(default_factory=lambda: np.empty((0, 0), np.int64))
     stats: dict[str, Any] = field(default_factory=lambda: {"nis": 0.0, "dof": 0, "iterations": 0})
 
     def weights(self) -> Array:
@@ -79,7 +80,8 @@ class FastSLAM:
 
     `iterations` of the proposal's linearisation. `density`: observations per m2 and scan that no stone explains;
     `negative`: stones in view that are not seen count. `whiten`: the noise of angles is raised as far as their residuals
-    repeat themselves. Raises `TomThumbError` for settings that cannot be.
+    repeat themselves. `quick`: the associator names the scan for the heaviest particle alone, the others name it by
+    maximum likelihood within `gate`, all in one kernel. Raises `TomThumbError` for settings that cannot be.
     """
 
     motion: Motion
@@ -91,8 +93,12 @@ class FastSLAM:
     density: float = 0.3
     negative: bool = True
     whiten: bool = True
+    quick: bool = False
+    gate: float = 0.999
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.gate < 1.0:
+            raise TomThumbError(f"gate={self.gate}: a probability between 0 and 1")
         if self.particles < 1 or self.iterations < 1 or self.version not in (1, 2):
             raise TomThumbError(
                 f"particles={self.particles}, iterations={self.iterations}, version={self.version}: "
@@ -116,7 +122,7 @@ class FastSLAM:
         """See `protocols.Estimator`."""
         b = belief
         maps, heard = pages.copy(b.maps), echo.copy(b.echo)
-        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), maps, b.view, heard, dict(b.stats))
+        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), maps, b.view, heard, b.named, dict(b.stats))
 
     def predict(self, belief: Particles, control: Control, rng: Rng) -> Particles:
         """See `protocols.Estimator`. Resamples first, where the last scan made it necessary."""
@@ -166,11 +172,12 @@ class FastSLAM:
         return b.view
 
     def expect(self, belief: Particles) -> Sequence[Predictions]:
-        """See `protocols.Estimator`: one for each particle."""
+        """See `protocols.Estimator`: one for each particle, or for the heaviest alone (`quick`)."""
         v = self._look(belief)
         cov = _in_body(belief)
         ids, stone = belief.maps.ids[v.slots], belief.maps.stone[v.slots]
-        return [self._predictions(v, p, cov[p], ids, stone, belief) for p in range(len(belief.pose))]
+        asked = range(1 if self.quick else len(belief.pose))
+        return [self._predictions(v, p, cov[p], ids, stone, belief) for p in asked]
 
     def _predictions(self, v: View, p: int, cov: Array, ids: Ids, stone: Mask, b: Particles) -> Predictions:
         keep = np.flatnonzero(v.chance[p] > UNSEEN)
@@ -187,14 +194,14 @@ class FastSLAM:
             ids[keep], v.z_hat[p, keep], C, b.cov[p], Hx @ cov @ turn.T, frame, None, visible, stone[keep]
         )  # fmt: skip
 
-    def name(self, belief: Particles, observations: Observations, gate: float = 0.999) -> Ids:
+    def name(self, belief: Particles, observations: Observations) -> Ids:
         """Ids (M, m) of the observations by maximum likelihood in each particle, -1 for none: the quick path.
 
         The same as an associator would say that takes, for each observation, the likeliest landmark within the gate.
         """
         v = self._look(belief)
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - gate)))
+        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - self.gate)))
         named: Ids = np.where(match >= 0, belief.maps.ids[v.slots][match], -1) if len(v.slots) else match
         return named
 
@@ -204,7 +211,8 @@ class FastSLAM:
         """See `protocols.Estimator`. Raises `Diverged`."""
         b, m = belief, belief.maps
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        slots = np.array([[m.slot.get(i, -1) for i in row] for row in np.asarray(ids).tolist()], np.int64)
+        b.named = self._all_named(b, observations, ids)
+        slots = np.array([[m.slot.get(i, -1) for i in row] for row in b.named.tolist()], np.int64)
         slots = slots.reshape(len(b.pose), len(z))
         firm = (slots >= 0) & m.stone[slots] if len(m.stone) else slots >= 0
         if self.negative:
@@ -221,6 +229,14 @@ class FastSLAM:
         if not (np.isfinite(b.log_weight).any() and np.isfinite(b.pose).all()):
             raise Diverged("no particle explains the observations")
         return b
+
+    def _all_named(self, b: Particles, observations: Observations, ids: Sequence[Ids]) -> Ids:
+        """Ids (M, m): as given, or where only the heaviest particle's are, the others' by maximum likelihood."""
+        if not self.quick or len(ids) == len(b.pose):
+            return np.asarray(ids, np.int64).reshape(len(b.pose), len(observations))
+        named = self.name(b, observations)
+        named[0] = ids[0]
+        return named
 
     def _listen(self, b: Particles, z: Array, R: Array, slots: Ids) -> Array:
         """By what R (m, 2, 2) is to be multiplied, from the residuals of the heaviest particle before the scan."""
@@ -259,7 +275,7 @@ class FastSLAM:
         z_hat, H = _expect(self.sensor, points)
         pages.reserve(b.maps, pages.columns_of(slots))
         kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, self._wrapped(), *pages.arrays(b.maps))
-        kernel.boxes(_distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
+        kernel.boxes(pages.distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
 
     def _wrapped(self) -> Any:
         return np.array([k in self.sensor.angles for k in range(2)])
@@ -269,7 +285,10 @@ class FastSLAM:
     def add(self, belief: Particles, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Particles:
         """See `protocols.Estimator`. A landmark may be new in some particles and known under another id in others."""
         b, m = belief, belief.maps
-        named = np.asarray(ids, np.int64).reshape(len(b.pose), len(observations))
+        named = np.asarray(ids, np.int64).reshape(-1, len(observations))
+        if len(named) < len(b.pose):  # new to the heaviest: new to all that found no name for it either
+            size = (len(b.pose), named.shape[1])
+            named = np.where(b.named < 0 if b.named.shape == size else np.ones(size, bool), named, -1)
         rows = np.flatnonzero((named >= 0).any(0))
         if not len(rows):
             return b
@@ -331,30 +350,12 @@ class FastSLAM:
 
     def pose(self, belief: Particles) -> tuple[Array, Array]:
         """See `protocols.Estimator`: mean and covariance of the mixture; headings are averaged on the circle."""
-        w, x = belief.weights(), belief.pose
-        heading = float(np.arctan2(w @ np.sin(x[:, 2]), w @ np.cos(x[:, 2])))
-        mean = np.array([*(w @ x[:, :2]), heading])
-        away = x - mean
-        away[:, 2] = geometry.wrap(away[:, 2])
-        cov: Array = np.einsum("p,pi,pj->ij", w, away, away) + np.tensordot(w, belief.cov, 1)
-        return mean, cov
+        return mixture.pose(belief.weights(), belief.pose, belief.cov)
 
     def estimate(self, belief: Particles) -> Estimate:
         """See `protocols.Estimator`: the heaviest particle's landmarks, averaged over all particles that hold them."""
-        m, w = belief.maps, belief.weights()
-        best = int(w.argmax())
-        slots = np.flatnonzero(m.live)
-        page = m.table[:, slots // pages.SIZE]
-        there = (page >= 0) & m.has[page, slots % pages.SIZE]
-        slots, page, there = slots[there[best]], page[:, there[best]], there[:, there[best]]
-        weight = there * w[:, None]
-        weight /= weight.sum(0)
-        mean, cov = m.mean[page, slots % pages.SIZE], m.cov[page, slots % pages.SIZE]
-        centre = np.einsum("pn,pni->ni", weight, np.where(there[..., None], mean, 0.0))
-        away = np.where(there[..., None], mean - centre, 0.0)
-        own = np.einsum("pn,pni->ni", weight, np.where(there[..., None], cov, 0.0))
-        covs = np.einsum("pn,pni,pnj->nij", weight, away, away) + own[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-        return Estimate(*self.pose(belief), m.ids[slots], centre, covs, m.stone[slots])
+        ids, places, covs, stone = mixture.landmarks(belief.weights(), belief.maps)
+        return Estimate(*self.pose(belief), ids, places, covs, stone)
 
     def stats(self, belief: Particles) -> dict[str, Any]:
         """See `protocols.Estimator`; of the heaviest particle."""
@@ -389,11 +390,3 @@ def _of_each(pose: Array, slots: Ids, m: Pages) -> tuple[Array, Array]:
     """Landmarks `slots` (M, m; -1 gives a stand-in) in each robot's frame: points, covariances (M, m, 2, 2)."""
     points, spread, _ = kernel.to_body(pose, slots, m.table, m.mean, m.cov, m.has)
     return points, spread
-
-
-def _distinct(slots: Ids) -> Ids:
-    """The slots that occur, each once."""
-    flat = slots[slots >= 0]
-    seen = np.zeros(int(flat.max()) + 1, bool)
-    seen[flat] = True
-    return np.flatnonzero(seen)
