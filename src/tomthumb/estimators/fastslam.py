@@ -285,7 +285,7 @@ class FastSLAM:
     def add(self, belief: Particles, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Particles:
         """See `protocols.Estimator`. A landmark may be new in some particles and known under another id in others."""
         b, m = belief, belief.maps
-        named = np.asarray(ids, np.int64).reshape(-1, len(observations))
+        named = np.asarray(ids, np.int64).reshape(len(ids), len(observations))
         if len(named) < len(b.pose):  # new to the heaviest: new to all that found no name for it either
             size = (len(b.pose), named.shape[1])
             named = np.where(b.named < 0 if b.named.shape == size else np.ones(size, bool), named, -1)
