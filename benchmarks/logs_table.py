@@ -14,6 +14,7 @@ import argparse
 import json
 import math
 import os
+import signal
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 import tomthumb
+from tomthumb.bench.version import code_version
 from tomthumb.geometry import align, to_world
 from tomthumb.scenarios import load
 from tomthumb.types import Scenario, Trace
@@ -58,7 +60,27 @@ def measure(scenario: Scenario, associator: str, seed: int) -> dict[str, Any]:
     row = {key: found.get(key) for key in keys}
     row["gps_m"] = gps_error(trace, scenario)
     row["real_time"] = float(trace.t[-1] - trace.t[0]) / cpu if len(trace.t) else None
-    return row
+    return row | {"cpu_s": cpu}
+
+
+def bounded(scenario: Scenario, associator: str, seed: int, limit: int) -> dict[str, Any]:
+    """`measure`, ended after `limit` s: then the row says so. A diverged filter is a row of its own kind already."""
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(limit)
+    try:
+        return measure(scenario, associator, seed)
+    except TooLong:
+        return {"failure": f"not finished after {limit} s", "cpu_s": float(limit)}
+    finally:
+        signal.alarm(0)
+
+
+class TooLong(BaseException):
+    """The time of a row is over: no Exception, so that nobody on the way catches it."""
+
+
+def _too_long(number: int, frame: Any) -> None:
+    raise TooLong
 
 
 def gps_error(trace: Trace, scenario: Scenario) -> float | None:
@@ -101,21 +123,37 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--limit", type=int, default=900, help="seconds for one row")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.exists() else {}
+    code = code_version()
     for name in options.only or LOGS:
+        wanted = [a for a in options.associators.split(",") if kept.get(f"{name}|{a}", {}).get("code") != code]
+        if not wanted:
+            continue
         scenario = load(LOGS[name].format(options.data))
         labelled = bool((scenario.true_ids() >= 0).any())
-        for associator in options.associators.split(","):
-            key = f"{name}|{associator}"
-            if key in kept or (associator == "oracle" and not labelled):
+        for associator in wanted:
+            if associator == "oracle" and not labelled:
                 continue
-            kept[key] = measure(scenario, associator, options.seed)
-            print(line(name, associator, kept[key]), flush=True)
+            row = bounded(scenario, associator, options.seed, options.limit) | {"code": code}
+            kept[f"{name}|{associator}"] = row
+            print(line(name, associator, row), f"{row['cpu_s']:.0f} s", flush=True)
             if options.keep:
-                options.keep.write_text(json.dumps(kept, indent=1))
+                keep(options.keep, kept)
+            if options.write:
+                write(options.write, kept)
+    fresh = [row for row in kept.values() if row.get("code") == code]
+    print(f"{len(fresh)} rows of this code, {sum(row['cpu_s'] for row in fresh) / 60:.0f} minutes; {len(kept)} in all")
     if options.write:
         write(options.write, kept)
+
+
+def keep(path: Path, kept: Mapping[str, Any]) -> None:
+    """Write the rows so that a kill at any moment leaves the old file or the new one."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(kept, indent=1))
+    part.replace(path)
 
 
 def write(document: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:

@@ -251,6 +251,8 @@ def test_a_damaged_bag_is_named(tmp_path):
             read(tmp_path, "run")
     with pytest.raises(BrokenFile, match="no such bag"):
         read(tmp_path, "nowhere")
+    with pytest.raises(BrokenFile, match="File name too long"):
+        read(tmp_path, "a" * 5000)
 
 
 def _spoiled(data, rng):

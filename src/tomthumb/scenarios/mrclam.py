@@ -22,25 +22,33 @@ STD = (0.15, math.radians(1.2))
 # The controls are commands, not measurements: dead reckoning is off by up to 1.1 m after a minute. As noise of each
 # command of 0.012 s these stds give about that.
 CONTROL_STD = (0.1, 0.15)
+DELAY = (
+    0.25  # s from a command to the motion: 0.20 to 0.30 by robot against Vicon; the camera's clock is right to 0.05 s
+)
+MAX_DELAY = 10.0
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
 
-def mrclam(path: Path, *, robot: int = 1) -> Scenario:
+def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY) -> Scenario:
     """One robot of a set: the folder with Barcodes.dat, Landmark_Groundtruth.dat and RobotN_*.dat (plain, .xz or .gz).
 
-    Sightings of other robots and of barcodes that belong to nobody are left out. The log starts where both odometry and
-    ground truth (if there is any) have begun. Without ground truth the robot starts at (0, 0, 0).
+    Sightings of other robots and of barcodes that belong to nobody are left out. The odometry holds commands, which
+    act `delay` s later. The log starts where both odometry and ground truth (if there is any) have begun. Without
+    ground truth the robot starts at (0, 0, 0).
 
-    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5.
+    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay.
     """
     if not 1 <= robot <= ROBOTS:
         raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
+    if not 0 <= delay <= MAX_DELAY:
+        raise TomThumbError(f"mrclam: delay={delay:g}: 0 to {MAX_DELAY:g} s")
     folder = _folder(Path(path))
     landmarks, index = _landmarks(folder)
     odometry = _read(folder, f"Robot{robot}_Odometry", 3)
     if not len(odometry):
         raise BrokenFile(folder / f"Robot{robot}_Odometry.dat", "holds no odometry")
+    odometry[:, 0] += delay
     sightings = _read(folder, f"Robot{robot}_Measurement", 4)
     codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
     ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
