@@ -25,30 +25,35 @@ CONTROL_STD = (0.1, 0.15)
 DELAY = (
     0.25  # s from a command to the motion: 0.20 to 0.30 by robot against Vicon; the camera's clock is right to 0.05 s
 )
-MAX_DELAY = 10.0
+TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
+MAX_DELAY, MAX_TURN = 10.0, 10.0
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
 
-def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY) -> Scenario:
+def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TURN) -> Scenario:
     """One robot of a set: the folder with Barcodes.dat, Landmark_Groundtruth.dat and RobotN_*.dat (plain, .xz or .gz).
 
     Sightings of other robots and of barcodes that belong to nobody are left out. The odometry holds commands, which
-    act `delay` s later. The log starts where both odometry and ground truth (if there is any) have begun. Without
-    ground truth the robot starts at (0, 0, 0).
+    act `delay` s later and turn the robot by `turn` times what they say. The log starts where both odometry and ground
+    truth (if there is any) have begun. Without ground truth the robot starts at (0, 0, 0).
 
-    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay.
+    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay
+    or turn.
     """
     if not 1 <= robot <= ROBOTS:
         raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
     if not 0 <= delay <= MAX_DELAY:
         raise TomThumbError(f"mrclam: delay={delay:g}: 0 to {MAX_DELAY:g} s")
+    if not 0 < turn <= MAX_TURN:
+        raise TomThumbError(f"mrclam: turn={turn:g}: above 0, and at most {MAX_TURN:g}")
     folder = _folder(Path(path))
     landmarks, index = _landmarks(folder)
     odometry = _read(folder, f"Robot{robot}_Odometry", 3)
     if not len(odometry):
         raise BrokenFile(folder / f"Robot{robot}_Odometry.dat", "holds no odometry")
     odometry[:, 0] += delay
+    odometry[:, 2] *= turn
     sightings = _read(folder, f"Robot{robot}_Measurement", 4)
     codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
     ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
