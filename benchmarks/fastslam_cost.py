@@ -35,7 +35,7 @@ def by_associator(fast, belief, seen, rng):
 def measure(n: int, particles: int, steps: int, jcbb: bool) -> tuple[float, float, float]:
     """Median and mean seconds a step, and the share of observations named rightly."""
     rng = np.random.default_rng(0)
-    place, fast, belief = grown(n, lambda m, s: FastSLAM(m, s, particles=particles), rng)
+    place, fast, belief = grown(n, lambda m, s: FastSLAM(m, s, particles=particles), rng, None)
     seconds, right, total = [], 0, 0
     for _ in range(steps):
         place.pose = geometry.compose(place.pose, MOVE.u)

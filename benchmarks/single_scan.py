@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from tomthumb import registry
 from tomthumb.associators.tom_thumb.scene import base_gains, rigid
-from tomthumb.kernels.flights import refine
+from tomthumb.kernels.motion import refine
 from tomthumb.kernels.ipjc import posterior_d2
 from tomthumb.kernels.posterior import value_of
 from tomthumb.stats.bootstrap import mean_interval

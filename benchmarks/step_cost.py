@@ -14,7 +14,7 @@ import argparse
 import json
 import resource
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,8 @@ from tomthumb.types import Control, Observations
 SPACING = 2.0  # m between landmarks on a grid
 STD = np.array([0.1, 0.02])
 MOVE = Control(np.array([0.1, 0.0, 0.05]), 1.0, np.diag([0.01, 0.01, 0.005]) ** 2)  # a circle of 2 m radius
+
+DRIFT = np.diag([0.05, 0.05, 0.002]) ** 2
 
 
 @dataclass
@@ -49,8 +51,12 @@ class Place:
         return Observations(z, np.tile(np.diag(STD**2), (len(ids), 1, 1))), ids
 
 
-def grown(n: int, make, rng):
-    """Place, filter and belief that knows all n landmarks well enough (each was seen once from nearby)."""
+def grown(n: int, make, rng, drift=DRIFT):
+    """Place, filter and belief that knows all n landmarks, each seen once.
+
+    After every 100 of them the odometry's `drift` (a covariance, or None) is added, so that their errors are those of
+    a long drive: alike nearby, independent in part far away.
+    """
     side = int(np.ceil(np.sqrt(n)))
     grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)[:n] * SPACING
     points = grid + 0.3 * rng.standard_normal(grid.shape)
@@ -65,6 +71,8 @@ def grown(n: int, make, rng):
         R = np.tile(np.diag([0.05, 0.05 / np.hypot(side, side)]) ** 2, (len(ids), 1, 1))
         every = [ids] * getattr(ekf, "particles", 1)
         belief = ekf.promote(ekf.add(belief, Observations(z, R), every, rng), ids)
+        if drift is not None:
+            belief = replace(ekf, local=0).predict(belief, Control(np.zeros(3), 1.0, drift), rng)
     return place, ekf, belief
 
 

@@ -20,8 +20,9 @@ MAY = {
     "models": BASE,
     "estimators": BASE | {"models"},  # for the sensitivity to calibration states only
     "associators": BASE | {"tale"},
-    "lifecycle": BASE,
-    "slam": BASE | {"branches", "lifecycle", "checks", "sensing"},
+    "appearance": BASE,
+    "lifecycle": BASE | {"appearance"},
+    "slam": BASE | {"appearance", "branches", "lifecycle", "checks", "sensing"},
     "metrics": BASE,
 }
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from handmade import estimate, trace, truth
 from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.metrics import score
-from tomthumb.storage import SavedRun, load_map, load_run, save_map, save_run
+from tomthumb.storage import SavedRun, load_lessons, load_map, load_run, save_map, save_run
+from tomthumb.tale.stdp import LogMemory
 
 
 @pytest.fixture
@@ -99,3 +102,35 @@ def test_absent_files_and_unwritable_places_are_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(TomThumbError, match="cannot be written"):
         save_map(tmp_path / "file" / "map.csv", estimate())
+
+
+def test_lessons_lie_beside_the_map_and_are_read_back(tmp_path, saved):
+    memory = LogMemory()
+    for t in range(5):
+        memory.learn([0, 1], float(t))
+    learned = memory.recall([0, 1])
+    save_run(tmp_path, SavedRun(replace(saved.trace, lessons=learned), saved.truth))
+    for name in (".", "map.csv", "trace.npz"):
+        back = load_lessons(tmp_path / name)
+        for field in fields(learned):
+            np.testing.assert_array_equal(getattr(back, field.name), getattr(learned, field.name))
+    save_run(tmp_path, saved)  # another map without lessons: the old ones would not fit it
+    assert load_lessons(tmp_path) is None
+
+
+@pytest.mark.parametrize("damage", ["cut", "share", "shape"])
+def test_broken_lessons_are_named(tmp_path, damage):
+    memory = LogMemory()
+    memory.learn([0, 1], 0.0)
+    good = memory.recall([0, 1])
+    wrong = {
+        "cut": good,
+        "share": replace(good, together=1.5 * np.ones((2, 2))),
+        "shape": replace(good, ids=np.arange(3)),
+    }
+    save_map(tmp_path / "map.csv", estimate([0, 1]), wrong[damage])
+    file = tmp_path / "map.memory.npz"
+    if damage == "cut":
+        file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(BrokenFile, match=r"map\.memory\.npz"):
+        load_lessons(tmp_path / "map.csv")

@@ -17,6 +17,9 @@ __version__ = "0.1.0.dev0"
 
 _PUBLIC = {
     "associate": "tomthumb.plain",
+    "problem": "tomthumb.plain",
+    "explain": "tomthumb.associators.explain",
+    "Explanation": "tomthumb.associators.explain",
     "run": "tomthumb.runner",
     "evaluate": "tomthumb.metrics",
     "load": "tomthumb.scenarios",

@@ -1,8 +1,11 @@
-"""Loops closed by the king: the landmarks of the recent trail, as a constellation, against those not seen for long.
+"""Loops closed by the king: what has been mapped lately, as a constellation, against what was mapped before.
 
 Scan by scan a long loop does not close: the filter is sure of a pose that is metres off. What the robot has mapped lately
-is right among itself all the same, and fits into the old map at one place only. There both are made one, landmark by
-landmark (l_a - l_b = 0), and the whole map moves.
+is right among itself all the same, and fits into the old map at one place only. Two occasions:
+
+- a doubt of the watch that nothing has settled: everything mapped since is laid on everything mapped before, anywhere;
+- without a doubt, only within the drift that odometry may have gathered since the old part was seen. A periodic world
+  would close onto itself otherwise.
 """
 
 from __future__ import annotations
@@ -13,70 +16,98 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import fits
-from tomthumb.king import Exile, King, clear, judged
-from tomthumb.lifecycle import Ledger
+from tomthumb.constellation import Fit, fits
+from tomthumb.geometry import compose, wrap_angle
+from tomthumb.king import Exile, King, Return, clear, judged
 from tomthumb.protocols import Estimator, Sensor
-from tomthumb.types import Array, Estimate, Ids, Mask
+from tomthumb.types import Array, Estimate, Mask
+
+SLACK = 1.5  # how much less exact the recent map is in itself than one observation
 
 
 @dataclass(frozen=True, slots=True)
 class Loops:
-    """every: scans between two looks. stars: landmarks seen last that make the constellation. old: scans that a
-    landmark must have been out of sight. poses: of the trail, from which the old ones would have been seen."""
+    """every: scans between two looks. stars: youngest landmarks that make the constellation. window: scans in which
+    they were born. drift: m per m of path, rad per m: what odometry may have gathered. poses: of the trail, from which
+    old landmarks would have been seen."""
 
-    every: int = 10
-    stars: int = 40
-    old: int = 100
-    poses: int = 20
+    every: int = 5
+    stars: int = 25
+    window: int = 60
+    drift: tuple[float, float] = (0.05, 0.005)
+    poses: int = 12
 
 
-def closures(
-    king: King, loops: Loops, branch: Branch, estimator: Estimator[Any], sensor: Sensor, scan: int, noise: float
-) -> list[tuple[int, int]]:
-    """Pairs (keep, drop) of stones that are one, if a loop is closed here; noise: m, of one observation."""
-    seen = np.array([life.seen for life in branch.ledger.values()])
-    if np.count_nonzero(seen <= scan - loops.old) < king.votes:
-        return []
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """A loop that is closed: the way to the old map for all that was born after scan `since`."""
+
+    way: Return
+    since: int
+
+
+def closure(
+    king: King, loops: Loops, branch: Branch, estimator: Estimator[Any], sensor: Sensor, scan: int, doubt: int | None,
+    noise: float,
+) -> Closure | None:  # fmt: skip
+    """The loop that is closed here, if one is. `doubt`: the scan since which the pose is in doubt; noise: m."""
+    since = scan - loops.window if doubt is None else doubt
+    born = np.array([life.born for life in branch.ledger.values()])
+    if np.count_nonzero(born > since) < king.votes:
+        return None
     whole = estimator.estimate(branch.belief)
-    recent, old = _parted(whole, branch.ledger, scan, loops)
-    if recent.sum() < king.votes or old.sum() < king.votes:
-        return []
-    own = np.sqrt(0.5 * np.trace(whole.covs[recent], axis1=1, axis2=2))
-    relative = np.abs(own**2 - np.median(own**2)) + noise**2
-    away = _away(branch, whole, old, loops)
-    q = whole.landmarks[recent]
-    found = fits(q, relative[:, None, None] * np.eye(2), away.old.landmarks)
+    young, old = _parted(whole, branch, since, loops)
+    if min(young.sum(), old.sum()) < king.votes:
+        return None
+    away = _away(branch, whole, old, loops, scan - since)
+    q = whole.landmarks[young]
+    found = fits(q, np.tile((SLACK * noise) ** 2 * np.eye(2), (len(q), 1, 1)), away.old.landmarks)
+    if doubt is None:
+        found = [fit for fit in found if _drifted(fit, branch, whole, away, loops)]
     chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
     if chosen is None:
-        return []
-    match = found[chosen].match
-    pairs = [(int(away.old.ids[j]), int(i)) for i, j in zip(whole.ids[recent], match, strict=True) if j >= 0]
-    apart = [(keep, drop) for keep, drop in pairs if drop not in branch.ledger[keep].companions]
-    return apart if len(apart) > 0.9 * len(pairs) else []
+        return None
+    named = np.where(found[chosen].match >= 0, away.old.ids[found[chosen].match], -1)
+    return Closure(Return(found[chosen], whole.ids[young], named), since)
 
 
-def _parted(whole: Estimate, ledger: Ledger, scan: int, loops: Loops) -> tuple[Mask, Mask]:
-    """Stones of the constellation and stones that have been out of sight."""
-    seen = np.array([ledger[i].seen for i in whole.ids.tolist()])
-    last = np.flatnonzero(whole.stone & (seen > scan - loops.old))
-    newest: Ids = last[np.argsort(-seen[last], kind="stable")][: loops.stars]
-    recent = np.zeros(len(seen), bool)
-    recent[newest] = True
-    return recent, whole.stone & (seen <= scan - loops.old)
+def _parted(whole: Estimate, branch: Branch, since: int, loops: Loops) -> tuple[Mask, Mask]:
+    """The youngest stones born after `since`, and those not seen after it."""
+    lives = [branch.ledger[i] for i in whole.ids.tolist()]
+    born, seen = np.array([life.born for life in lives]), np.array([life.seen for life in lives])
+    fresh = np.flatnonzero(whole.stone & (born > since))
+    young = np.zeros(len(born), bool)
+    young[fresh[np.argsort(-born[fresh], kind="stable")][: loops.stars]] = True
+    return young, whole.stone & (seen <= since)
 
 
-def _away(branch: Branch, whole: Estimate, old: Mask, loops: Loops) -> Exile:
+def _away(branch: Branch, whole: Estimate, old: Mask, loops: Loops, scans: int) -> Exile:
     part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
     exist = np.array([branch.ledger[i].exist for i in part.ids.tolist()])
-    return Exile(branch, part, exist, believed=False, trail=_trail(branch, loops))
+    poses = trail(branch, scans)
+    return Exile(branch, part, exist, believed=False, trail=poses[:: max(1, len(poses) // loops.poses)])
 
 
-def _trail(branch: Branch, loops: Loops) -> list[Array]:
-    """Poses of the last scans, some of them."""
+def trail(branch: Branch, scans: int) -> list[Array]:
+    """Poses of the last scans, the last one first."""
     poses: list[Array] = []
     node = branch.history
-    while node is not None and len(poses) < loops.old // 2:
+    while node is not None and len(poses) < scans:
         node, _, pose = node
         poses.append(pose)
-    return poses[:: max(1, len(poses) // loops.poses)]
+    return poses
+
+
+def _drifted(fit: Fit, branch: Branch, whole: Estimate, away: Exile, loops: Loops) -> bool:
+    """The fit moves the robot no farther than odometry may have drifted since the old part was last seen."""
+    matched = away.old.ids[fit.match[fit.match >= 0]]
+    if not len(matched):
+        return False
+    last = int(np.median([branch.ledger[i].seen for i in matched.tolist()]))
+    newest = max(life.seen for life in branch.ledger.values())
+    poses = np.array(trail(branch, newest - last))
+    path = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) if len(poses) > 1 else 0.0
+    gap = compose(fit.motion, whole.pose) - whole.pose
+    std = 5.0 * np.sqrt(np.diag(whole.pose_cov))
+    near = np.hypot(*gap[:2]) < max(loops.drift[0] * path, float(np.hypot(*std[:2])))
+    return bool(near and abs(wrap_angle(gap[2])) < max(loops.drift[1] * path, std[2]))

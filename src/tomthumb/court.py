@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
-from tomthumb.closing import Loops, closures
+from tomthumb.closing import Closure, Loops, closure
 from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
 from tomthumb.lifecycle import Life
@@ -80,10 +80,13 @@ class Court:
         best = slam.branches[0]
         G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
         noise = float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean()))
-        pairs = closures(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, noise)
-        for keep, drop in pairs:
-            slam.unite(best, keep, drop)
-        return {"king": "loop", "votes": len(pairs)} if pairs else {}
+        doubt = self.watch.since if self.watch.doubtful else None
+        found = closure(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, doubt, noise)
+        if found is None:
+            return {}
+        carry(slam.estimator, best, found, slam.index, slam.scan)
+        self.watch = Watch(since=slam.scan)
+        return {"king": "loop", "votes": found.way.fit.votes}
 
 
 def flee(estimator: Estimator[Any], branch: Branch, index: int, rng: Rng) -> tuple[Exile, Branch]:
@@ -121,10 +124,37 @@ def go_home(
     return home
 
 
+def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int, scan: int) -> None:
+    """The robot and all that was born since are moved onto the old map, and what was mapped twice is merged."""
+    way = found.way
+    pose, cov = pose_home(way.fit, *estimator.pose(branch.belief))
+    local = estimator.estimate(branch.belief)
+    named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0}
+    young = np.array([branch.ledger[i].born > found.since for i in local.ids.tolist()], bool)
+    branch.belief = estimator.forget(branch.belief, local.ids[young])
+    branch.belief = estimator.relocate(branch.belief, pose, cov)
+    for k in np.flatnonzero(young).tolist():
+        i = int(local.ids[k])
+        life = branch.ledger.pop(i)
+        if i in named:
+            _inherit(branch.ledger[named[i]], life, scan)
+            branch.events = (branch.events, "merged", i, named[i], index)
+        elif local.stone[k]:
+            place, spread = _placed(way, local.landmarks[k], local.covs[k])
+            branch.belief = estimator.place(branch.belief, np.array([i]), place[None], spread[None])
+            branch.ledger[i] = life
+        else:
+            branch.events = (branch.events, "died", i, -1, index)
+    branch.crumbs.difference_update(local.ids[young].tolist())
+    branch.history = _moved_history(branch, way.fit.motion, scan - found.since)
+    branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
+
+
 def _inherit(life: Life, lost: Life, scan: int) -> None:
     life.hits += lost.hits
     life.chances += lost.hits
     life.static += lost.static
+    life.looks = life.looks.and_also(lost.looks)
     life.seen = scan
 
 
@@ -139,19 +169,23 @@ def _bring_along(
     wanted: int,
 ) -> None:
     """Landmarks that only the new map has: the firm ones are placed in the old one, the others end."""
-    R = rotation(way.fit.motion[2])
     for k, i in enumerate(local.ids.tolist()):
         if i in named:
             continue
         if here.ledger[i].static < wanted:
             home.events = (home.events, "died", i, -1, index)
             continue
-        x, y = R @ local.landmarks[k]
-        J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-        place = way.fit.motion[:2] + np.array([x, y])
-        cov = R @ local.covs[k] @ R.T + J @ way.fit.cov @ J.T
+        place, cov = _placed(way, local.landmarks[k], local.covs[k])
         home.belief = estimator.place(home.belief, np.array([i]), place[None], cov[None])
         home.ledger[i] = replace(here.ledger[i], companions=set())
+
+
+def _placed(way: Return, point: Array, cov: Array) -> tuple[Array, Array]:
+    """A landmark of the new map in the old one, with the uncertainty of the fit."""
+    R = rotation(way.fit.motion[2])
+    x, y = R @ point
+    J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+    return way.fit.motion[:2] + np.array([x, y]), R @ cov @ R.T + J @ way.fit.cov @ J.T
 
 
 def _moved_history(here: Branch, motion: Array, scans: int) -> Any:

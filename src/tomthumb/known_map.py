@@ -16,11 +16,11 @@ FROZEN_STD = 1e-5  # m, so sure is a frozen map of its landmarks that no observa
 SIGHTINGS = 10.0  # what a saved stone counts for: it is known, and may still turn out to be gone
 
 
-def start_in(slam: Slam, known: Estimate, frozen: bool = False) -> None:
+def start_in(slam: Slam, known: Estimate, frozen: bool = False) -> dict[int, int]:
     """Put the stones of a saved map into a `Slam` that has not begun; its prior pose is one in the map's frame.
 
-    Landmarks keep their order and get ids from `FIRST` on. `frozen`: their positions are taken as exact. Raises
-    TomThumbError for covariances that are not positive definite.
+    Landmarks keep their order and get ids from `FIRST` on; returned is the new id of each old one. `frozen`: their
+    positions are taken as exact. Raises TomThumbError for covariances that are not positive definite.
     """
     points, covs = known.landmarks[known.stone], known.covs[known.stone]
     if frozen:
@@ -32,6 +32,7 @@ def start_in(slam: Slam, known: Estimate, frozen: bool = False) -> None:
     branch.belief = slam.estimator.place(branch.belief, ids, points, covs)
     for i in ids.tolist():
         branch.ledger[i] = Life(0, hits=SIGHTINGS, chances=SIGHTINGS, static=slam.policy.hits)
+    return dict(zip(known.ids[known.stone].tolist(), ids.tolist(), strict=True))
 
 
 def frozen_policy(policy: LifeCycle) -> LifeCycle:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
-from tomthumb.types import Array, Ids, Mask, Predictions
+from tomthumb.appearance import Crowd, Looks, Weight
+from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,7 @@ class LifeCycle:
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
+    signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
     """
 
     hits: int = 5
@@ -38,6 +40,15 @@ class LifeCycle:
     in_view: float = 0.9
     merge: bool = True
     reference: bool = False
+    signature: str = "off"
+    signature_gate: float = 0.9999
+    stray: float = 0.05
+    confusion: float = 0.0
+
+    @property
+    def weight(self) -> Weight:
+        """How looks count. Raises TomThumbError for values that cannot be."""
+        return Weight(self.signature, self.signature_gate, self.stray, self.confusion)
 
     def faithful(self) -> LifeCycle:
         """The reference program's policy: landmarks at once, one gate, nothing merged, nothing forgotten."""
@@ -56,7 +67,7 @@ class Life:
     chances: float = 1.0
     static: int = 1
     companions: set[int] = field(default_factory=set)
-    label: int = -1
+    looks: Looks = field(default_factory=Looks)
     born: int = 0
 
     @property
@@ -74,10 +85,8 @@ def copy_ledger(ledger: Ledger) -> Ledger:
 
 
 def with_existence(predictions: Predictions, ledger: Ledger) -> Predictions:
-    """The predictions, told how likely each landmark is to exist, and its label."""
-    exist = np.array([ledger[int(i)].exist for i in predictions.ids])
-    labels = np.array([ledger[int(i)].label for i in predictions.ids], np.int64)
-    return replace(predictions, exist=exist, labels=labels if (labels >= 0).any() else predictions.labels)
+    """The predictions, told how likely each landmark is to exist."""
+    return replace(predictions, exist=np.array([ledger[int(i)].exist for i in predictions.ids]))
 
 
 def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: int, policy: LifeCycle) -> None:
@@ -101,6 +110,17 @@ def record_companions(ledger: Ledger, ids: list[int]) -> None:
     """Landmarks of one scan are different landmarks."""
     for i in ids:
         ledger[i].companions.update(ids)
+
+
+def record_looks(ledger: Ledger, ids: Iterable[int], seen: Observations, rows: Ids, crowd: Crowd | None) -> None:
+    """Classes and signatures of the observations `rows` of landmarks `ids`; `crowd` learns how far those vary."""
+    if seen.labels is None and seen.signature is None:
+        return
+    for i, row in zip(ids, rows.tolist(), strict=True):
+        life = ledger[i]
+        if crowd is not None:
+            crowd.record_sighting(life.looks, seen, row)
+        life.looks = life.looks.and_seen(seen, row)
 
 
 def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:

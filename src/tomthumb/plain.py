@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ def associate(
     clutter: Array | float | None = None,
     angles: tuple[int, ...] = (1,),
     labels: tuple[Ids, Ids] | None = None,
+    evidence: Array | None = None,
     rng: np.random.Generator | None = None,
     check: bool = False,
     **parameters: Any,
@@ -37,9 +39,10 @@ def associate(
     R (2, 2) shared or (m, 2, 2). pose_cov (3, 3) and cross (2n, 3), the covariance of the predictions with the pose, and
     points (n, 2) m in the robot's frame help methods that use them; detect: probability of detection, scalar or (n,);
     clutter: density of false and new observations in the units of z, scalar or (m,); angles: components that wrap;
-    labels: classes of observations (m,) and of predictions (n,), -1 unknown. Arguments that a method does not use are
-    ignored; further keywords are the method's own (``gate=0.9999``). `check` also tests that the whole `cov` is positive
-    semi-definite, which costs the cube of its width.
+    labels: classes of observations (m,) and of predictions (n,), -1 unknown; evidence (m, n): log likelihood ratio of
+    what each observation looks like, that landmark against any, for methods that weigh gains. Arguments that a method does
+    not use are ignored; further keywords are the method's own (``gate=0.9999``). `check` also tests that the whole `cov`
+    is positive semi-definite, which costs the cube of its width.
 
     Raises `TomThumbError` for shapes that do not fit, values that are not finite, covariances that are not positive
     definite, and unknown methods or keywords.
@@ -50,7 +53,32 @@ def associate(
         raise TomThumbError(
             "method 'oracle' needs the truth, which plain arrays do not hold; valid: any other associator"
         )
-    rng = rng if rng is not None else np.random.default_rng(0)
+    asked = problem(
+        z, z_hat, cov, R, pose_cov=pose_cov, cross=cross, points=points, detect=detect, clutter=clutter, angles=angles,
+        labels=labels, evidence=evidence, check=check,
+    )  # fmt: skip
+    built = registry.build("associator", method, parameters)
+    best: Association = built.associate(asked, rng if rng is not None else np.random.default_rng(0))[0]
+    return best
+
+
+def problem(
+    z: Array,
+    z_hat: Array,
+    cov: Array,
+    R: Array,
+    *,
+    pose_cov: Array | None = None,
+    cross: Array | None = None,
+    points: Array | None = None,
+    detect: Array | float | None = None,
+    clutter: Array | float | None = None,
+    angles: tuple[int, ...] = (1,),
+    labels: tuple[Ids, Ids] | None = None,
+    evidence: Array | None = None,
+    check: bool = False,
+) -> AssociationProblem:
+    """The arrays as associators and `tomthumb.explain` are given them; arguments and errors as for `associate`."""
     seen, noise = _observed(z, R)
     predictions = _predicted(z_hat, cov, pose_cov, cross, points, detect, check)
     m, n = len(seen), len(predictions)
@@ -62,15 +90,11 @@ def associate(
     if clutter is None and tuple(angles) == (1,):
         density = density * np.maximum(np.abs(seen[:, 0]), 1e-3)  # per m2 -> per m rad
     mine, theirs = _labels(labels, m, n)
-    if theirs is not None:
-        object.__setattr__(predictions, "labels", theirs)
     nu = innovations(seen, predictions.z_hat, wrapped)
-    problem = AssociationProblem(
-        seen, noise, nu, predictions, np.maximum(density, 1e-12), np.arange(m), tuple(angles), mine
+    return AssociationProblem(
+        seen, noise, nu, replace(predictions, labels=theirs), np.maximum(density, 1e-12), np.arange(m), tuple(angles),
+        mine, evidence=None if evidence is None else _array("evidence", evidence, (m, n)),
     )  # fmt: skip
-    built = registry.build("associator", method, parameters)
-    best: Association = built.associate(problem, rng)[0]
-    return best
 
 
 def _array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from tomthumb.types import Array, Association, AssociationProblem, Control, Estimate, Ids, Observations, Predictions
+from tomthumb.types import (
+    Array,
+    Association,
+    AssociationProblem,
+    Control,
+    Estimate,
+    Ids,
+    Lessons,
+    Observations,
+    Predictions,
+)
 
 Rng = np.random.Generator
 Belief = TypeVar("Belief")
@@ -87,6 +97,19 @@ class Associator(Protocol):
 
     def learn(self, ids: Ids, t: float) -> None:
         """The identities accepted in a step; most associators do nothing with them."""
+        ...
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """What an associator offers besides if its lessons can be saved with a map and taught to another."""
+
+    def recall(self, ids: Ids) -> Lessons | None:
+        """What was learned about the landmarks `ids`; None where nothing is."""
+        ...
+
+    def remind(self, lessons: Lessons) -> None:
+        """Begin with these lessons instead of what was learned so far."""
         ...
 
 

@@ -13,8 +13,9 @@ from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
+from tomthumb.protocols import Learner
 from tomthumb.slam import Slam
-from tomthumb.types import Array, Estimate, Ids, Scenario, StepRecord, Trace
+from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
 LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
@@ -28,17 +29,20 @@ def run(
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
+    lessons: Lessons | None = None,
     progress: Callable[[StepRecord], None] | None = None,
 ) -> Trace:
     """Run a scenario to its end, or until the filter diverges (then `failure` says why, and the trace ends there).
 
     `associator` and `estimator` are names, or objects that follow the protocols. `settings` may hold "associator",
     "estimator" and "slam": keyword arguments of each. `start_map` is a saved map to start in (`storage.load_map`); it
-    goes on growing unless ``slam.frozen``. Raises `TomThumbError`.
+    goes on growing unless ``slam.frozen``; `lessons` are what an associator with a memory had learned about its landmarks
+    (`storage.load_lessons`). Raises `TomThumbError`.
     """
     slam = prepare(
-        scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map
-    )
+        scenario, associator=associator, estimator=estimator, seed=seed, settings=settings, start_map=start_map,
+        lessons=lessons,
+    )  # fmt: skip
     records = []
     for record in slam.stream(scenario.steps):
         records.append(record)
@@ -55,6 +59,7 @@ def prepare(
     seed: int = 0,
     settings: Settings | None = None,
     start_map: Estimate | None = None,
+    lessons: Lessons | None = None,
 ) -> Slam:
     """A `Slam` ready for the scenario's steps: parts built by name, teacher hired, map loaded, random streams apart."""
     chosen: dict[str, dict[str, Any]] = {"associator": {}, "estimator": {}, "slam": {}}
@@ -77,16 +82,18 @@ def prepare(
     if slam.court.king is not None and chosen["slam"].get("loops"):
         slam.court.loops = Loops()
     if start_map is not None:
-        _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
+        names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
+        if lessons is not None and isinstance(slam.associator, Learner):
+            slam.associator.remind(lessons.renamed(names))
     return slam
 
 
-def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> None:
+def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> dict[int, int]:
     from tomthumb.known_map import start_in
 
     if oracle or scenario.teach_steps:
         raise TomThumbError("the oracle knows landmarks by their first observation, not those of a saved map")
-    start_in(slam, start_map, frozen)
+    return start_in(slam, start_map, frozen)
 
 
 def _oracle(truth: Ids | None) -> Any:
@@ -122,6 +129,7 @@ def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
     best = slam.branches[0]
     died, merged = _events(best)
     final_ids, final_pose = _history(best, len(records))
+    final, who = slam.estimate(), slam.associator
     return Trace(
         scenario=name,
         t=np.array([r.t for r in records]),
@@ -136,10 +144,11 @@ def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
         dof=np.array([r.dof for r in records], np.int64),
         died=died,
         merged=merged,
-        final=slam.estimate(),
+        final=final,
         failure=slam.failure,
         final_ids=_survivors(final_ids, merged),
         final_pose=final_pose,
+        lessons=who.recall(final.ids[final.stone]) if isinstance(who, Learner) else None,
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tomthumb import lifecycle
+from tomthumb.appearance import Crowd, Looks, weigh, with_looks
 from tomthumb.branches import Branch, Scan
 from tomthumb.checks import check_step
 from tomthumb.court import Court
@@ -76,6 +77,7 @@ class Slam:
         self.branches = [Branch(estimator.init(prior.pose, prior.cov, self.rng_estimator), {})]
         self.clutter = Clutter(area_in_view(sensor))
         self.detection = DetectionMap(sensor.detect)
+        self.crowd, self.weight = Crowd(), self.policy.weight
         self.t, self.index, self.scan, self.serial = -math.inf, 0, 0, 0
         self.last_control: Control | None = None
         self.surprise = Surprise()
@@ -170,10 +172,13 @@ class Slam:
             branch.log_weight -= top
             self._settle(branch, scan, predictions, matches)
         best = children[0][0]
+        self.crowd.record(seen)
         self.clutter.count += float(np.count_nonzero(best.paired < 0))
         self.clutter.scans += 1.0
         self.branches = self._apart([c[0] for c in children])
         infos = children[0][3] | self.court.attend(self, scan)
+        if self.teacher is not self.associator or self.index >= self.teach_steps:
+            self.associator.learn(self.branches[0].ids, self.t)  # from the best branch alone: one scan, one lesson
         return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
@@ -214,7 +219,8 @@ class Slam:
         if predictions.points is not None and predictions.visible is not None and len(predictions):
             learned = self.detection.chance(predictions.points) / self.detection.prior
             predictions = replace(predictions, visible=np.minimum(predictions.visible * learned, 0.999))
-        return lifecycle.with_existence(predictions, ledger)
+        known = (ledger[int(i)].looks for i in predictions.ids)
+        return with_looks(lifecycle.with_existence(predictions, ledger), known, self.crowd)
 
     def _fork(self, branch: Branch) -> Branch:
         belief, ledger = self.estimator.fork(branch.belief), lifecycle.copy_ledger(branch.ledger)
@@ -229,9 +235,11 @@ class Slam:
         """The scan against one set of predictions, as associators are given it."""
         nu = innovations(seen.z, predictions.z_hat, _wrapped(self.sensor))
         density = (self.sensor.clutter + self.clutter.density) * self.sensor.scale(seen.z)
+        looks = weigh(seen, predictions, self.crowd, self.weight)
         return AssociationProblem(
-            seen.z, seen.R, nu, predictions, density, serials, self.sensor.angles, seen.labels, seen.signature, self.t
-        )
+            seen.z, seen.R, nu, predictions, density, serials, self.sensor.angles,
+            None if looks.soft else seen.labels, seen.signature, self.t, looks.ratio, looks.barred,
+        )  # fmt: skip
 
     # --- naming, update, life cycle ---------------------------------------------------------------------------------
 
@@ -254,9 +262,6 @@ class Slam:
             self._merge(branch, predictions, set(ids[hit].tolist()))
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
-        who = self.teacher if self.teacher is not None and self.index < self.teach_steps else None
-        if who is None or who is not self.associator:
-            self.associator.learn(branch.ids, self.t)
 
     def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, scan: Scan, ids: Ids) -> None:
         rows = np.flatnonzero(ids >= 0)
@@ -267,9 +272,8 @@ class Slam:
         lifecycle.record_hits(branch.ledger, paired, d2, self.scan, self.policy)
         self._opportunities(branch, predictions, set(paired), scan)
         lifecycle.record_companions(branch.ledger, paired)
-        if scan.raw.labels is not None:
-            for i, label in zip(paired, scan.raw.labels[rows].tolist(), strict=True):
-                branch.ledger[i].label = label if label >= 0 else branch.ledger[i].label
+        crowd = self.crowd if branch is self.branches[0] else None
+        lifecycle.record_looks(branch.ledger, paired, scan.raw, rows, crowd)
 
     def _opportunities(self, branch: Branch, predictions: Predictions, hit: set[int], scan: Scan) -> None:
         """Who was well in view, and was or was not seen: for each landmark's existence and for the map of detection."""
@@ -295,8 +299,8 @@ class Slam:
         founded = [founders for founders, _ in told]
         branch.belief = self.estimator.add(branch.belief, scan.raw, founded, self.rng_estimator)
         for row in np.flatnonzero(np.max(founded, axis=0) >= 0):
-            label = -1 if scan.raw.labels is None else int(scan.raw.labels[row])
-            branch.ledger[int(scan.serials[row])] = Life(self.scan, label=label, born=self.scan)
+            looks = Looks().and_seen(scan.raw, int(row))
+            branch.ledger[int(scan.serials[row])] = Life(self.scan, looks=looks, born=self.scan)
             branch.crumbs.add(int(scan.serials[row]))
         return founded[0] >= 0, told[0][1]
 
@@ -348,6 +352,7 @@ class Slam:
             life.static + lost.static,
         )
         life.companions |= lost.companions
+        life.looks = life.looks.and_also(lost.looks)
         life.seen = max(life.seen, lost.seen)
         branch.events = (branch.events, "merged", drop, keep, self.index)
 

@@ -15,12 +15,13 @@ import numpy as np
 
 from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.metrics.truth import TruthTable
-from tomthumb.types import Array, Estimate, Trace
+from tomthumb.types import Array, Estimate, Lessons, Trace
 
 FORMAT = 1
 MAP_COLUMNS = ("id", "x_m", "y_m", "cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "stone")
 ARRAYS = ("t", "pose", "pose_cov", "offsets", "ids", "paired", "with_stone", "seconds", "nis", "dof", "died", "merged")
 MAYBE = ("final_ids", "final_pose")
+LESSONS = ("ids", "sightings", "together", "lately", "total")
 FINAL = ("pose", "pose_cov", "ids", "landmarks", "covs", "stone")
 
 
@@ -39,7 +40,7 @@ def save_run(folder: Path, run: SavedRun) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "trajectory.tum", folder / "map.csv", folder / "trace.npz"]
     save_trajectory(paths[0], run.trace.t, run.trace.pose)
-    save_map(paths[1], run.trace.final)
+    save_map(paths[1], run.trace.final, run.trace.lessons)
     save_trace(paths[2], run)
     return paths
 
@@ -62,8 +63,13 @@ def save_trajectory(path: Path, t: Array, pose: Array) -> None:
         np.savetxt(path, table, fmt="%.9g", header="t_s x_m y_m z_m qx qy qz qw")
 
 
-def save_map(path: Path, estimate: Estimate) -> None:
-    """One row a landmark: id, position, covariance, and 1 for a stone (confirmed) or 0 for a crumb."""
+def save_map(path: Path, estimate: Estimate, lessons: Lessons | None = None) -> None:
+    """One row a landmark: id, position, covariance, and 1 for a stone (confirmed) or 0 for a crumb.
+
+    What was learned about them goes into a file beside it, map.memory.npz for map.csv; one that is there from an earlier
+    map, and would not fit this one, is removed.
+    """
+    _save_lessons(_beside(path), lessons)
     covs = estimate.covs
     numbers = np.column_stack([estimate.landmarks, covs[:, 0, 0], covs[:, 0, 1], covs[:, 1, 1]])
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
@@ -82,6 +88,36 @@ def load_map(path: Path) -> Estimate:
     if path.is_dir():
         path = path / "trace.npz" if (path / "trace.npz").is_file() else path / "map.csv"
     return load_run(path).trace.final if path.suffix == ".npz" else _map_from_csv(path)
+
+
+def load_lessons(path: Path) -> Lessons | None:
+    """What was learned about the landmarks of the map at `path` (as for `load_map`), or None. Raises BrokenFile."""
+    file = _beside(path / "map.csv" if path.is_dir() else path)
+    if not file.is_file():
+        return None
+    with reading(file, "a memory"), file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
+        ids, sightings, together, lately, total = (stored[name] for name in LESSONS)
+        found = Lessons(ids.astype(np.int64), sightings.astype(np.int64), together, lately, int(total))
+    k = len(found.ids)
+    fits = together.shape == (k, k) and sightings.shape == lately.shape == (k,) and len(np.unique(ids)) == k
+    if not (fits and ((together > 0) & (together < 1)).all() and ((lately > 0) & (lately < 1)).all()):
+        raise BrokenFile(file, "is not a memory: shares between 0 and 1 of as many landmarks as it names")
+    return found
+
+
+def _beside(path: Path) -> Path:
+    """Where the memory of a map lies."""
+    return path.with_name("map.memory.npz") if path.suffix == ".npz" else path.with_suffix(".memory.npz")
+
+
+def _save_lessons(path: Path, lessons: Lessons | None) -> None:
+    with writing(path):
+        if lessons is None:
+            path.unlink(missing_ok=True)
+            return
+        arrays: dict[str, Any] = {name: np.asarray(getattr(lessons, name)) for name in LESSONS}
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
 
 
 def _map_from_csv(path: Path) -> Estimate:

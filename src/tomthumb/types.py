@@ -152,7 +152,10 @@ class AssociationProblem:
 
     innovation (m, n, 2), angles wrapped; R (m, 2, 2); z (m, 2); clutter (m,) density of false and new observations at
     each observation, per unit of z; serials (m,) running numbers of the observations; angles: components that wrap.
-    prior (n,) is an additive log prior for each landmark (memory), or None.
+
+    What observations look like: `labels` that contradict each other exclude a pairing for everybody. `barred (m, n)` are
+    the pairings outside the gates of signatures. `evidence (m, n)` weighs them instead: the log ratio of how likely the
+    looks of i are for landmark j, over how likely they are for anything; whoever adds it to gains takes `weighed_d2`.
     """
 
     z: Array
@@ -165,6 +168,8 @@ class AssociationProblem:
     labels: Ids | None = None
     signature: Array | None = None
     t: float = 0.0
+    evidence: Array | None = None
+    barred: Mask | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -186,7 +191,19 @@ class AssociationProblem:
 
     @cached_property
     def d2(self) -> Array:
-        """Squared Mahalanobis distances (m, n); infinite where the labels exclude the pairing."""
+        """Squared Mahalanobis distances (m, n); infinite where labels or signatures exclude the pairing."""
+        if self.barred is None:
+            return self._distances
+        d2: Array = np.where(self.barred, np.inf, self._distances)
+        return d2
+
+    @cached_property
+    def weighed_d2(self) -> Array:
+        """As `d2`, but nothing that `evidence` weighs is excluded: for those who add it to their gains."""
+        return self.d2 if self.evidence is None else self._distances
+
+    @cached_property
+    def _distances(self) -> Array:
         from tomthumb.kernels.gates import mahalanobis
 
         d2: Array = mahalanobis(self.innovation, self.blocks, self.R)
@@ -228,6 +245,25 @@ class Estimate:
     landmarks: Array
     covs: Array
     stone: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Lessons:
+    """What an associator has learned about landmarks `ids (k,)`: how often each was seen, `sightings (k,)` of `total`;
+    `together (k, k)`, the share of sightings of i before which j was seen lately; `lately (k,)`, that share of them all.
+    """
+
+    ids: Ids
+    sightings: Ids
+    together: Array
+    lately: Array
+    total: int
+
+    def renamed(self, names: Mapping[int, int]) -> Lessons:
+        """About the landmarks that `names` knows, by the ids it gives them."""
+        rows = np.array([k for k, i in enumerate(self.ids.tolist()) if i in names], np.int64)
+        ids = np.array([names[int(i)] for i in self.ids[rows]], np.int64)
+        return Lessons(ids, self.sightings[rows], self.together[np.ix_(rows, rows)], self.lately[rows], self.total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,3 +314,4 @@ class Trace:
     final_ids: Ids | None = None
     final_pose: Array | None = None
     stats: Mapping[str, float] = field(default_factory=dict)
+    lessons: Lessons | None = None

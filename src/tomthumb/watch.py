@@ -17,6 +17,7 @@ from tomthumb.types import Array, Mask
 BY_CHANCE = 0.3  # how often, when lost, an expected landmark finds a partner, relative to when not
 SURE = 0.95  # no landmark is seen more surely than that
 LEAK = 0.95  # per scan: doubts that nothing feeds are forgotten
+DOUBT = 6.0  # nats: worth a look whether this is a place that is known
 ALARM = 12.0  # nats: one false alarm in 10^5 independent looks
 
 
@@ -24,12 +25,13 @@ ALARM = 12.0  # nats: one false alarm in 10^5 independent looks
 class Watch:
     """One-sided CUSUM of log P(scan | lost) - log P(scan | here) over the confirmed landmarks that are due.
 
-    `since` is the scan of the last look without doubt; landmarks born later are not asked. References: E. Page,
-    Biometrika 41, 1954.
+    `since` is the scan of the last look without doubt, `peak` the greatest one after it;
+    landmarks born later are not asked. References: E. Page, Biometrika 41, 1954.
     """
 
     level: float = 0.0
     since: int = 0
+    peak: float = 0.0
 
     def look(self, chance: Array, seen: Mask, unexplained: int, scan: int) -> None:
         """`chance` (n,) of seeing each confirmed landmark well in view, `seen` (n,); observations that none explains."""
@@ -39,7 +41,13 @@ class Watch:
         share = min(1.0, unexplained / max(int(missed.sum()), 1))
         self.level = LEAK * self.level + share * against + float(seen.sum()) * math.log(BY_CHANCE)
         if self.level <= 0.0:
-            self.level, self.since = 0.0, scan
+            self.level, self.peak, self.since = 0.0, 0.0, scan
+        self.peak = max(self.peak, self.level)
+
+    @property
+    def doubtful(self) -> bool:
+        """Something was wrong, and no old landmark has been met since that would settle it."""
+        return self.peak > DOUBT
 
     @property
     def lost(self) -> bool:

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.tom_thumb import TomThumb
+from tomthumb.associators.tom_thumb.basins import NO_LABELS
 from tomthumb.associators.tom_thumb.scene import base_gains, lever, rigid, window
-from tomthumb.kernels import flights, posterior
+from tomthumb.kernels import flights, motion, posterior
 from tomthumb.kernels.gates import innovations
 from tomthumb.types import AssociationProblem, Predictions
 
@@ -61,8 +62,8 @@ def test_local_candidates_are_all_points_within_reach_under_the_pose(seed, reach
     rng = np.random.default_rng(seed)
     q, points, cell = rng.uniform(-3, 3, (5, 2)), rng.uniform(-3, 3, (30, 2)), 0.4
     pose = rng.uniform(-1, 1, 3)
-    start, columns = flights.local_candidates(
-        pose, q, np.full(5, reach), points, cell, *flights.fill_grid(points, cell)
+    start, columns = motion.local_candidates(
+        pose, q, np.full(5, reach), points, cell, *flights.fill_grid(points, cell), NO_LABELS
     )
     c, s = np.cos(pose[2]), np.sin(pose[2])
     moved = points @ np.array([[c, -s], [s, c]]).T + pose[:2]
@@ -109,10 +110,10 @@ def test_the_refined_pose_is_the_true_one():
         s = rigid(problem, *base_gains(problem, None))
         gate2, cell = 27.6, 0.5
         grid = flights.fill_grid(s.p, cell)
-        start, columns = flights.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, cell, *grid)
+        start, columns = motion.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, cell, *grid, NO_LABELS)
         rough = error + np.array([0.05, -0.05, 0.01])
         prior = np.linalg.inv(s.Xi)
-        at, M, match, _ = flights.refine(rough, s.q, s.R, s.p, s.D, s.base, s.odds, prior, start, columns, gate2, 3)
+        at, M, match, _ = motion.refine(rough, s.q, s.R, s.p, s.D, s.base, s.odds, prior, start, columns, gate2, 3)
         off = at - error
         assert off @ M @ off < 21.1  # chi-square, 3 dof, 1 - 1e-4
         assert (match == truth).mean() > 0.9

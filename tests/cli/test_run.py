@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tomthumb.storage import load_run
+from tomthumb.known_map import FIRST
+from tomthumb.storage import load_lessons, load_run
 
 KEYS = ["match_rate", "precision", "recall", "wrong_ids", "purity", "idf1", "duplicates", "ate_m", "rmse_x_m"]
 KEYS += ["rmse_y_m", "nees", "map_rmse_m", "landmarks", "steps", "step_ms_p50", "associate_us_p50"]
@@ -71,6 +72,18 @@ def test_a_saved_map_can_be_started_in(tomthumb, tmp_path):
         assert row["wrong_ids"] == 0
         assert row["match_rate"] > 0.98
         assert row["landmarks"] == 88
+
+
+def test_what_was_learned_is_saved_with_the_map_and_taken_up_again(tomthumb, tmp_path):
+    learn = ("-a", "stt", "--set", "associator.memory=true", "--json", "-o")
+    tomthumb("run", "cloister", *learn, tmp_path / "one")
+    first = load_lessons(tmp_path / "one")
+    assert len(first.ids) == 88
+    tomthumb("run", "cloister", "-s", 5, "--map", tmp_path / "one", *learn, tmp_path / "two")
+    second = load_lessons(tmp_path / "two")
+    assert set(second.ids.tolist()) == {FIRST + k for k in range(88)}
+    assert second.total > 1.8 * first.total
+    assert second.sightings.min() > first.sightings.min()
 
 
 def test_list_names_parts_and_their_parameters(tomthumb):

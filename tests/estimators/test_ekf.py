@@ -157,11 +157,13 @@ def test_a_fork_shares_nothing():
 
 
 @pytest.mark.parametrize("invariant", [False, True])
-def test_working_by_regions_changes_nothing(invariant):
+@pytest.mark.parametrize("ranked", [False, True])
+def test_working_by_regions_changes_nothing(invariant, ranked, monkeypatch):
     """A long way through a wide world, with forgetting and merging, against the filter that always works on all."""
+    monkeypatch.setattr(local, "WORTH", 0 if ranked else 1000)
     motion, sensor = models("range_bearing")
     whole = EKF(motion, sensor, invariant=invariant, local=0)
-    parts = EKF(motion, sensor, invariant=invariant, local=20, margin=0.6)
+    parts = EKF(motion, sensor, invariant=invariant, local=20, margin=0.6, crowd=0.0)
     rng = np.random.default_rng(10)
     start, cov = np.array([20.0, 10.0, 0.0]), np.diag([0.1, 0.1, 0.02]) ** 2
     a, b = whole.init(start, cov, rng), parts.init(start, cov, rng)
@@ -260,6 +262,7 @@ def test_divergence_is_named():
         ({"tolerance": 0.0}, TomThumbError),
         ({"outliers": 1.0}, TomThumbError),
         ({"local": -1}, TomThumbError),
+        ({"crowd": -1.0}, TomThumbError),
         ({"calibrate": ("scale",)}, TomThumbError),
         ({"calibrate": ("steering_gain",), "calibrate_std": (0.1,)}, UnknownName),
     ],

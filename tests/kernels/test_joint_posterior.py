@@ -8,8 +8,8 @@ import pytest
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.candidates import gated
 from tomthumb.associators.tom_thumb.scene import base_gains, window
-from tomthumb.associators.tom_thumb.search import most_possible
-from tomthumb.kernels import posterior
+from tomthumb.kernels import marginals, posterior
+from tomthumb.kernels.left_out import left_out_gains
 
 WIDE = 1.0 - 1e-6
 
@@ -48,7 +48,7 @@ def searched(problem, base, slack, budget=10**6, size=64, gates2=None):
     m = len(problem.z)
     pool, values = np.full((size, m), -1, np.int64), np.full(size, -np.inf)
     nodes, proven = posterior.search(
-        *arrays(problem, base), most_possible(near, base, problem.R), listed.order, listed.start, listed.columns,
+        *arrays(problem, base), posterior.most_possible(near.start, near.columns, base, problem.R), listed.order, listed.start, listed.columns,
         np.full(m + 1, np.inf) if gates2 is None else gates2, np.full(m, -1, np.int64), 0.0, slack, budget, pool, values,
     )  # fmt: skip
     return pool, values, nodes, proven
@@ -133,7 +133,7 @@ def test_gains_left_out_are_differences_of_l():
     for problem, base, table, dense in problems(7, 40):
         near = window(problem.d2, WIDE)
         match = table.matches[np.argmax(dense)]
-        gains = posterior.left_out_gains(match, *arrays(problem, base), near.start, near.columns)
+        gains = left_out_gains(match, *arrays(problem, base), near.start, near.columns)
         for i in range(len(match)):
             without = match.copy()
             without[i] = -1
@@ -169,7 +169,7 @@ def test_marginals_are_exact_without_loops():
         start = 2 * np.arange(m + 1)
         columns = np.column_stack([np.arange(m), np.arange(1, m + 1)]).ravel()
         gains = rng.normal(0.0, 2.0, 2 * m)
-        p, none, log_z = posterior.marginals(gains, start, columns, m + 1, 500)
+        p, none, log_z = marginals.marginals(gains, start, columns, m + 1, 500)
         exact = exact_marginals(gains, start, columns, m, m + 1)
         assert np.allclose(p, exact[0], atol=1e-3)  # it stops when messages change by less than 1e-4
         assert np.allclose(none, exact[1], atol=1e-3)
@@ -182,7 +182,7 @@ def test_marginals_with_loops_are_close():
     start, columns = 4 * np.arange(5), np.tile(np.arange(4), 4)
     for _ in range(100):
         gains = rng.normal(0.0, 2.0, 16)
-        p, none, log_z = posterior.marginals(gains, start, columns, 4, 500)
+        p, none, log_z = marginals.marginals(gains, start, columns, 4, 500)
         exact = exact_marginals(gains, start, columns, 4, 4)
         errors.append(np.abs(np.concatenate([p - exact[0], none - exact[1]])))
         sums = np.array([p[start[i] : start[i + 1]].sum() + none[i] for i in range(4)])

@@ -5,7 +5,7 @@ import pytest
 
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import between, compose, to_frame
-from tomthumb.scenarios.cloister import LAP, MOVE_STD, TURN_STD, cloister, posts, walk
+from tomthumb.scenarios.cloister import LAP, MOVE_STD, MOVES, SIDE, TURN_STD, TURNS, cloister, posts, walk
 
 
 def world(seed=0, **options):
@@ -172,3 +172,37 @@ def test_dead_reckoning_drifts_within_what_the_filter_is_told():
 def test_values_out_of_range_are_named(option, word):
     with pytest.raises(TomThumbError, match=word):
         world(**option)
+
+
+def test_other_routes_begin_after_the_taught_laps_and_keep_to_the_path():
+    usual, back, shuttle = (
+        cloister(np.random.default_rng(1), laps=3, teach=1, route=r) for r in ("round", "reversed", "shuttle")
+    )
+    poses = [np.array([s.truth.pose for s in world.steps]) for world in (usual, back, shuttle)]
+    assert [len(p) for p in poses] == [3 * LAP, 3 * LAP + TURNS, LAP + 2 * (4 * MOVES + 6 * TURNS)]
+    for taken in poses[1:]:
+        np.testing.assert_allclose(taken[:LAP], poses[0][:LAP], atol=1e-12)
+        on_path = np.abs(taken[:, :2] - np.clip(taken[:, :2], 0.0, SIDE)) < 1e-9
+        assert on_path.all()
+        assert (np.minimum(np.abs(taken[:, :2]), np.abs(taken[:, :2] - SIDE)).min(1) < 1e-9).all()
+    assert poses[1][-1, 2] == pytest.approx(math.pi / 2 + math.pi / 2 / TURNS)  # one turn short of where it set off
+    assert set(map(tuple, poses[2][LAP:, :2].round(6))) < set(map(tuple, poses[0][:LAP, :2].round(6)))
+
+
+def test_posts_are_dressed_without_changing_anything_else():
+    plain = cloister(np.random.default_rng(2), people=3, clutter=1.0)
+    worn = cloister(np.random.default_rng(2), people=3, clutter=1.0, classes=3, confusion=0.2, diameter_std=0.05)
+    labels, widths, ids = [], [], []
+    for a, b in zip(plain.steps, worn.steps, strict=True):
+        np.testing.assert_array_equal(a.observations.z, b.observations.z)
+        labels.append(b.observations.labels)
+        widths.append(b.observations.signature)
+        ids.append(b.truth.ids)
+    label, width, who = map(np.concatenate, (labels, widths, ids))
+    wrong, spread = [], []
+    for post in np.unique(who[who >= 0]):
+        mine = label[who == post]
+        wrong.append((mine != np.bincount(mine).argmax()).mean())
+        spread.append(width[who == post].std(ddof=1) ** 2)
+    assert np.mean(wrong) == pytest.approx(0.2 * 2 / 3, abs=0.03)
+    assert np.sqrt(np.mean(spread)) == pytest.approx(0.05, rel=0.1)

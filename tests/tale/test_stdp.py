@@ -181,3 +181,68 @@ def test_bad_input_is_one_clear_line() -> None:
     ):
         with pytest.raises(TomThumbError, match=r"^[^\n]+$"):
             wrong()
+
+
+def filled(size: int, laps: int = 3, landmarks: int = 12) -> LogMemory:
+    """A ring of landmarks walked round, a pair at a time."""
+    memory = LogMemory(window=1.0, size=size)
+    for t in range(laps * landmarks):
+        memory.learn([t % landmarks, (t + 1) % landmarks], float(t))
+    return memory
+
+
+def test_the_memory_is_bounded_whatever_is_seen() -> None:
+    rng, memory = np.random.default_rng(0), LogMemory(size=20)
+    for t in range(500):
+        memory.learn(rng.integers(0, 1000, 7), float(t))
+        assert len(memory) <= 20
+    assert memory.recall(np.arange(1000)).together.shape == (20, 20)
+    memory.learn(np.arange(50), 501.0)  # more at once than there is room for
+    assert len(memory) == 20
+
+
+def test_crumbs_fade_and_stones_stay() -> None:
+    memory = LogMemory(window=1.0, size=10)
+    for t in range(30):
+        memory.learn([0, 1, 2], float(t))  # stones
+    for t in range(30, 90):
+        memory.learn([t], float(t))  # passers-by, each seen once
+    kept = set(memory.recall(np.arange(100)).ids.tolist())
+    assert {0, 1, 2} <= kept
+    assert {88, 89} <= kept  # whoever is new gets a chance
+
+
+def test_room_enough_changes_nothing() -> None:
+    free, tight = filled(1000), filled(12)
+    np.testing.assert_array_equal(free.recall(range(12)).together, tight.recall(range(12)).together)
+
+
+def test_what_is_left_after_forgetting_is_what_it_was() -> None:
+    memory = filled(100)
+    before = {(j, i): memory.probability(j, i) for i in range(3, 12) for j in range(3, 12)}
+    memory.forget([0, 7, 2])
+    for (j, i), value in before.items():
+        assert memory.probability(j, i) == (0.5 if 7 in (i, j) else value)
+
+
+def test_lessons_go_from_one_memory_to_another_under_new_names() -> None:
+    teacher, pupil = filled(100), LogMemory(window=1.0)
+    names = {i: 100 + i for i in range(12) if i != 5}
+    pupil.remind(teacher.recall(range(12)).renamed(names))
+    assert pupil.probability(105, 104) == 0.5  # not taken along
+    assert pupil.probability(104, 103) == teacher.probability(4, 3)
+    assert pupil.recent(1e6).size == 0
+    pupil.learn([103], 0.0)
+    twin = teacher.fork()
+    twin.learn([3], 1e6)  # nobody seen lately there either
+    assert pupil.probability(104, 103) == twin.probability(4, 3)
+    assert pupil.prior([104, 109], 0.0)[0] > pupil.prior([104, 109], 0.0)[1]
+
+
+def test_of_too_many_lessons_the_best_known_stay() -> None:
+    many = LogMemory()
+    for t in range(20):
+        many.learn(np.arange(t + 1), float(t))
+    few = LogMemory(size=5)
+    few.remind(many.recall(np.arange(20)))
+    assert few.recall(np.arange(20)).ids.tolist() == [0, 1, 2, 3, 4]

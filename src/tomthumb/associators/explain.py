@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc
 
-from tomthumb.associators.tom_thumb.scene import base_gains
+from tomthumb.associators.tom_thumb.scene import base_table
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels import posterior
+from tomthumb.kernels.left_out import left_out_gains
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
 
@@ -21,7 +22,7 @@ class Explanation:
     the other pairings (0 unpaired); d2, gate: of the pairing by itself; conditional_d2, conditional_gate: given the
     others; joint_d2, joint_gate: of the whole hypothesis. All but the joint ones are NaN for an unpaired observation.
     runner_up: the column of the next best partner that no other observation holds, or -1 for staying unpaired, and its
-    gain.
+    gain. evidence: nats of the gain that are due to labels and signature; confidence: the associator's own, NaN unknown.
     """
 
     observation: int
@@ -35,6 +36,8 @@ class Explanation:
     joint_gate: float
     runner_up: int
     runner_up_gain: float
+    evidence: float = 0.0
+    confidence: float = np.nan
 
     @property
     def lead(self) -> float:
@@ -47,10 +50,12 @@ class Explanation:
         if self.landmark < 0 and self.runner_up < 0:
             after = "; no landmark is free"
         whole = f"; the whole scan passes a joint gate of {self.joint_gate:.6g} (d2 {self.joint_d2:.2f})"
+        sure = "" if np.isnan(self.confidence) else f" ({100 * self.confidence:.2f} % sure)"
         if self.landmark < 0:
-            return f"observation {self.observation} is unpaired{after}{whole}"
+            return f"observation {self.observation} is unpaired{sure}{after}{whole}"
+        looks = f" ({self.evidence:+.2f} for its looks)" if self.evidence else ""
         return (
-            f"observation {self.observation} is landmark {self.landmark}: gain {self.gain:+.2f} nats, by itself gate "
+            f"observation {self.observation} is landmark {self.landmark}{sure}: gain {self.gain:+.2f} nats{looks}, by itself gate "
             f"{self.gate:.6g} (d2 {self.d2:.2f}), given the others {self.conditional_gate:.6g} "
             f"(d2 {self.conditional_d2:.2f}){after}{whole}"
         )
@@ -69,8 +74,7 @@ def explain(problem: AssociationProblem, association: Association | Ids, i: int)
         )
     if not 0 <= i < m:
         raise TomThumbError(f"observation {i} does not exist; valid: 0 to {m - 1}")
-    own, odds = base_gains(problem, None)
-    given = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, own[:, None] + odds[None]
+    given = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base_table(problem)
     joint_d2, pairs = posterior.value_of(match, *given)[1:]
     j = int(match[i])
     gain, alone, conditional = (0.0, np.nan, np.nan) if j < 0 else _pairing(problem, match, i, given)
@@ -78,7 +82,13 @@ def explain(problem: AssociationProblem, association: Association | Ids, i: int)
     return Explanation(
         i, j, gain, alone, _gate(alone, 1), conditional, _gate(conditional, 1), joint_d2, _gate(joint_d2, pairs),
         second, second_gain,
+        0.0 if j < 0 or problem.evidence is None else float(problem.evidence[i, j]), _confidence(association, i),
     )  # fmt: skip
+
+
+def _confidence(association: Association | Ids, i: int) -> float:
+    known = isinstance(association, Association) and association.confidence is not None
+    return float(association.confidence[i]) if known else np.nan  # type: ignore[union-attr,index]
 
 
 Given = tuple[Array, Array, Array, Array]
@@ -89,17 +99,17 @@ def _pairing(problem: AssociationProblem, match: Ids, i: int, given: Given) -> t
     without = match.copy()
     without[i] = -1
     (value, d2, _), (less, rest, _) = posterior.value_of(match, *given), posterior.value_of(without, *given)
-    return value - less, float(problem.d2[i, match[i]]), d2 - rest
+    return value - less, float(problem.weighed_d2[i, match[i]]), d2 - rest
 
 
 def _runner_up(problem: AssociationProblem, match: Ids, i: int, given: Given) -> tuple[int, float]:
     """The best other partner of i that is free and allowed, and its gain; staying unpaired (-1, 0) counts as one."""
-    free = np.isfinite(problem.d2[i])
+    free = np.isfinite(problem.weighed_d2[i])
     free[match[match >= 0]] = False  # held by others, or by i itself
     columns = np.flatnonzero(free).astype(np.int64)
     start = np.zeros(len(match) + 1, np.int64)
     start[i + 1 :] = len(columns)
-    gains = posterior.left_out_gains(match, *given, start, columns)
+    gains = left_out_gains(match, *given, start, columns)
     best = int(gains.argmax()) if len(columns) else -1
     if best < 0 or (match[i] >= 0 and gains[best] <= 0.0):
         return -1, 0.0

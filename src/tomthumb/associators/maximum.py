@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.associators.candidates import gated
-from tomthumb.associators.tom_thumb.scene import base_gains, window
+from tomthumb.associators.tom_thumb.scene import base_table, window
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels import posterior
 from tomthumb.protocols import Rng
@@ -41,8 +41,7 @@ class MaximumPosterior:
         m, n = problem.shape
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64), info={"nodes": 0, "proof": "optimal", "objective": 0.0})]
-        own, odds = base_gains(problem, None)
-        pool, values, nodes, proven = self._search(problem, own[:, None] + odds[None])
+        pool, values, nodes, proven = self._search(problem, base_table(problem))
         info = {"nodes": nodes, "proof": "optimal" if proven else "truncated", "objective": float(values[0])}
         kept = np.flatnonzero(np.isfinite(values) & (values >= values[0] - self.slack))
         return [Association(pool[k], float(values[k] - values[0]), info) for k in kept[: self.hypotheses]]
@@ -51,7 +50,7 @@ class MaximumPosterior:
         """Hypotheses (K, m) best first with their L (K,), nodes, and whether the first is proven."""
         m = len(problem.z)
         gate2 = float(chdtri(2, 1.0 - self.gate))
-        near, listed = window(problem.d2, self.gate), gated(problem.d2, gate2)
+        near, listed = window(problem.weighed_d2, self.gate), gated(problem.weighed_d2, gate2)
         given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base)
         first, value = posterior.complete(np.full(m, -1, np.int64), *given, near.start, near.columns, gate2)
         pool, values = np.full((self.hypotheses, m), -1, np.int64), np.full(self.hypotheses, -np.inf)
@@ -69,5 +68,5 @@ class MaximumPosterior:
 def _most_possible(problem: AssociationProblem, base: Array, gate2: float) -> Array:
     """The most (m,) that each observation can add to L: S given all other pairs is never less than R."""
     perfect = -0.5 * np.log(np.linalg.det(problem.R)) - posterior.LOG_2PI
-    best: Array = np.where(problem.d2 < gate2, base + perfect[:, None], 0.0).max(1)
+    best: Array = np.where(problem.weighed_d2 < gate2, base + perfect[:, None], 0.0).max(1)
     return np.maximum(best, 0.0)

@@ -74,8 +74,9 @@ class GlobalNearestNeighbour:
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64))]
         gate2 = chdtri(2, 1.0 - self.gate)
-        gain = gate2 - problem.d2 if self.cost == "d2" else pair_gains(problem)
-        gain = np.where(problem.d2 < gate2, gain, 0.0)
+        d2 = problem.d2 if self.cost == "d2" else problem.weighed_d2
+        gain = gate2 - d2 if self.cost == "d2" else pair_gains(problem)
+        gain = np.where(d2 < gate2, gain, 0.0)
         rows, columns = linear_sum_assignment(np.maximum(gain, 0.0), maximize=True)
         match = np.full(m, -1, np.int64)
         good = gain[rows, columns] > 0.0
@@ -87,19 +88,23 @@ class GlobalNearestNeighbour:
 
 
 def pair_gains(problem: AssociationProblem) -> Array:
-    """Log-likelihood ratio (m, n) of each pairing, by itself, against clutter: log PD/(1-PD) - log lambda0 + log N."""
+    """Log-likelihood ratio (m, n) of each pairing, by itself, against clutter: log PD/(1-PD) - log lambda0 + log N, and
+    the evidence of what it looks like.
+    """
     odds = log_odds(problem)
     S = problem.S
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0]
-    gains: Array = odds[None] - np.log(problem.clutter)[:, None] - 0.5 * problem.d2 - 0.5 * np.log(4 * np.pi**2 * det)
-    return gains
+    gains: Array = (
+        odds[None] - np.log(problem.clutter)[:, None] - 0.5 * problem.weighed_d2 - 0.5 * np.log(4 * np.pi**2 * det)
+    )
+    return gains if problem.evidence is None else gains + problem.evidence
 
 
 def log_odds(problem: AssociationProblem) -> Array:
     """log P_D / (1 - P_D) of each prediction (n,), P_D = probability of existence and detection."""
+    from tomthumb.kernels.scene import log_odds as kernel
+
     p = problem.predictions
-    chance = np.full(len(p), 0.95) if p.visible is None else p.visible
-    chance = chance * (1.0 if p.exist is None else p.exist)
-    chance = np.clip(chance, 1e-6, 1.0 - 1e-4)
-    odds: Array = np.log(chance / (1.0 - chance))
+    nothing = np.empty(0)
+    odds: Array = kernel(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
     return odds

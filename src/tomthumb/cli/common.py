@@ -91,7 +91,7 @@ def read_settings(config: Path | None, sets: list[str] | None) -> Settings:
 
 
 def execute(
-    job: Job, scenario: Scenario, start_map: Any = None, quiet: bool = False, title: str = ""
+    job: Job, scenario: Scenario, start_map: Any = None, lessons: Any = None, quiet: bool = False, title: str = ""
 ) -> tuple[Row, SavedRun]:
     """Run and score: the row for tables and JSON, and the run with its truth for figures."""
     from tomthumb.metrics import collect, evaluate
@@ -106,6 +106,7 @@ def execute(
             seed=job.seed,
             settings=job.parts,
             start_map=start_map,
+            lessons=lessons,
             progress=step,
         )
     row = job.about() | evaluate(trace, scenario)

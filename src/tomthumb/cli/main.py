@@ -26,6 +26,7 @@ COMMANDS = {
     "info": "tomthumb.cli.info:info",
     "fetch": "tomthumb.cli.fetch:fetch",
     "export": "tomthumb.cli.export:export",
+    "explain": "tomthumb.cli.explain:explain",
     "explore": "tomthumb.cli.explore:explore",
     "live": "tomthumb.cli.live:live",
 }

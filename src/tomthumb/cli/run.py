@@ -37,8 +37,8 @@ def run(
     Examples: tomthumb run cloister -a jcbb --set people=30; tomthumb run ../shared/data/car_park -o out/car_park
     """
     job = common.Job(scenario, associator, estimator, seed, common.read_settings(config, sets))
-    world, known = job.load(), _known(start_map)
-    row, saved = common.execute(job, world, known, quiet=as_json)
+    world, (known, lessons) = job.load(), _known(start_map)
+    row, saved = common.execute(job, world, known, lessons, quiet=as_json)
     if out is not None:
         write_outputs(out, row, saved)
     if as_json:
@@ -47,12 +47,13 @@ def run(
         _print_row(row, out)
 
 
-def _known(path: Path | None) -> object:
+def _known(path: Path | None) -> tuple[object, object]:
+    """The map to start in, and what was learned about its landmarks (--set associator.memory=true uses it)."""
     if path is None:
-        return None
-    from tomthumb.storage import load_map
+        return None, None
+    from tomthumb.storage import load_lessons, load_map
 
-    return load_map(path)
+    return load_map(path), load_lessons(path)
 
 
 def write_outputs(folder: Path, row: common.Row, saved: SavedRun) -> None:

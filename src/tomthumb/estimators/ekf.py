@@ -46,8 +46,9 @@ class EKF:
     `invariant`: right-invariant error. `iterations` at most; `fixed` runs exactly that many. `faithful`: the reference
     program's filter, four fixed iterations with the usual error. `outliers`: pairings whose own d2 passes this
     chi-square probability are left out of the update (0: none are). `local`: maps of more landmarks are worked on by
-    regions that reach `margin` times the sensor's range beyond it (0: never). `calibrate` names systematic errors of
-    the odometry that are estimated as states (`models.calibration`), with prior standard deviations `calibrate_std`.
+    regions that reach `margin` times the sensor's range beyond it and hold `crowd` times the square root of the map's
+    number (0: never). `calibrate` names systematic errors of the odometry that are estimated as states
+    (`models.calibration`), with prior standard deviations `calibrate_std`.
     Raises `TomThumbError` for settings that cannot be.
     """
 
@@ -61,6 +62,7 @@ class EKF:
     outliers: float = 0.0
     local: int = 200
     margin: float = 1.0
+    crowd: float = 2.4
     calibrate: tuple[str, ...] = ()
     calibrate_std: tuple[float, ...] = ()
 
@@ -88,7 +90,7 @@ class EKF:
         """See `protocols.Estimator`."""
         self.core.predict(belief.active, control)
         if self.local and len(belief.whole.ids) > self.local:
-            local.settle(belief, self.sensor, self.margin, self.invariant and not self.faithful)
+            local.settle(belief, self.sensor, self.margin, self.crowd, self.invariant and not self.faithful)
         return belief
 
     def expect(self, belief: Atlas) -> Sequence[Predictions]:
@@ -173,8 +175,10 @@ def _check(e: EKF) -> None:
         raise TomThumbError(f"tolerance={e.tolerance}: more than 0, in standard deviations of the sensor's noise")
     if not 0.0 <= e.outliers < 1.0:
         raise TomThumbError(f"outliers={e.outliers}: a probability below 1 (0: keep all)")
-    if e.local < 0 or not e.margin > 0.0:
-        raise TomThumbError(f"local={e.local}, margin={e.margin}: a number of landmarks (0: never), and more than 0")
+    if e.local < 0 or not e.margin > 0.0 or not e.crowd >= 0.0:
+        raise TomThumbError(
+            f"local={e.local}, margin={e.margin}, crowd={e.crowd}: a number of landmarks (0: never), more than 0, and 0 or more"
+        )
     if len(e.calibrate) != len(e.calibrate_std):
         raise TomThumbError(f"calibrate names {len(e.calibrate)} errors and calibrate_std {len(e.calibrate_std)}")
     check(e.motion, e.calibrate, e.calibrate_std)

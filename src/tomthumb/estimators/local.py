@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 
 from tomthumb.estimators import gaussian
 from tomthumb.estimators.gaussian import Gaussian, Transfer
@@ -24,6 +25,9 @@ from tomthumb.kernels import storage
 from tomthumb.kernels.blas import subtract_lower
 from tomthumb.protocols import Sensor
 from tomthumb.types import Array, Ids
+
+EPS = float(np.finfo(float).eps)
+WORTH = 8  # times wider than a region must a map be for its rank to be looked for
 
 
 @dataclass(slots=True)
@@ -58,10 +62,12 @@ def copy(a: Atlas) -> Atlas:
     return Atlas(gaussian.copy(a.whole), work, a.taken.copy(), a.gone.copy(), a.centre.copy(), a.free)
 
 
-def settle(a: Atlas, sensor: Sensor, margin: float, turned: bool) -> None:
+def settle(a: Atlas, sensor: Sensor, margin: float, crowd: float, turned: bool) -> None:
     """Stay in the region while it surely holds all that can be seen; else leave it and take the one around here.
 
-    A region of more than half of the map is not worth it: then the whole is worked on.
+    It reaches `margin` times the sensor's range beyond what is seen here, farther where that is less than `crowd` times
+    the square root of the map's number of landmarks. One of more than half of the map is not worth it: then the whole
+    is worked on.
     """
     place = sensor.frame(a.active.pose)
     if a.free > 0.0 and float(np.hypot(*(place[:2] - a.centre))) <= a.free:
@@ -70,10 +76,22 @@ def settle(a: Atlas, sensor: Sensor, margin: float, turned: bool) -> None:
     if not np.isfinite(sensor.max_range):
         return
     whole = a.whole
-    a.centre, a.free = place[:2].copy(), margin * sensor.max_range
+    a.centre, a.free = place[:2].copy(), max(margin * sensor.max_range, _radius(whole, place, crowd) - sensor.max_range)
     slots = kernel.near(whole.P, whole.x, whole.dim, whole.hidden, place, sensor.max_range + a.free)
     if 2 * len(slots) <= len(whole.ids):
         enter(a, slots, turned)
+
+
+def _radius(whole: Gaussian, place: Array, crowd: float) -> float:
+    """Distance within which `crowd` times the square root of the number of landmarks stand.
+
+    A step costs as the square of the region's size n, leaving it about as the square of the map's size N, and the less
+    often the larger it is: where n^2 + N^2 / n is least, or nearly, n grows as the square root of N (measured: 2.4).
+    """
+    points = whole.landmarks()[whole.hidden :]
+    count = min(int(crowd * np.sqrt(len(points))), len(points) // 2)
+    away = np.hypot(*(points - place[:2]).T)
+    return float(np.partition(away, count)[count])
 
 
 def bring(a: Atlas, ids: Iterable[int]) -> None:
@@ -112,8 +130,7 @@ def leave(a: Atlas) -> None:
     U = _influence(whole, _rows(a.taken), len(t.theta))
     inside = np.zeros(dim, bool)
     inside[_rows(a.taken)] = True
-    Psi = np.tril(t.Psi) + np.tril(t.Psi, -1).T
-    subtract_lower(whole.P, dim, np.asfortranarray(U @ -Psi), U)
+    subtract_lower(whole.P, dim, *_factors(U, np.tril(t.Psi) + np.tril(t.Psi, -1).T, np.diagonal(whole.P)[:dim].max()))
     whole.x[:dim] += U @ t.theta
     cross = np.asfortranarray(U @ t.T[: work.dim].T)
     fresh = [i for i in work.ids[work.hidden :] if i not in whole.slot]
@@ -132,6 +149,22 @@ def _influence(whole: Gaussian, rows: Ids, width: int) -> Array:
     G[rows] = 0.0
     turned: Array = G if width == len(rows) else storage.add_turned(G, 3 + 2 * whole.hidden)
     return turned
+
+
+def _factors(U: Array, Psi: Array, largest: float) -> tuple[Array, Array]:
+    """A, B (dim, k) with -U Psi U' = A B' of its numerical rank k: what is left out is below the rounding of P.
+
+    U = Q R, R Psi R' = V diag(mu) V': eigenvalues mu below eps times the largest variance change no element of P by
+    more than that. Far landmarks learn from a region little but where it is as a whole, so k is far below its size. On
+    a small map finding that out costs more than it saves.
+    """
+    if len(U) < WORTH * U.shape[1]:
+        return np.asfortranarray(U @ -Psi), U
+    Q, R = qr(U, mode="economic", overwrite_a=False, check_finite=False)
+    mu, V = np.linalg.eigh(R @ Psi @ R.T)
+    kept = np.abs(mu) > EPS * largest
+    A = np.asfortranarray(Q @ V[:, kept])
+    return A, np.asfortranarray(A * -mu[kept])
 
 
 def _tidy(a: Atlas, home: Ids) -> None:

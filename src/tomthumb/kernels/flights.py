@@ -19,6 +19,61 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 
 @jit
+def ready(
+    q: Array, R: Array, D: Array, base: Array, odds: Array, counts: Array, most: int
+) -> tuple[Array, Array, Array, Array, float, Array, Array, Array]:  # fmt: skip
+    """What `explore` works with, from observations q (m, 2) with noise R, own covariances D (n, 2, 2) and gains.
+
+    A pose from two observations is itself uncertain by about their noise: votes are weighed by three times it.
+    Returns W (m, 3), gain (m,), worth (n,), sigma (m,) m of each observation, the side of a cell that holds every vote
+    worth casting, apart (2,), and up to `most` pairs of observations (a, 2) with the tolerance (a,) m on their distance:
+    few candidates and long baseline first, each observation used at most three times, 3.5 sigma of the two.
+    """
+    m, n = q.shape[0], D.shape[0]
+    own, top = np.zeros(3), odds.max()
+    for j in range(n):
+        own += np.array([D[j, 0, 0], 0.5 * (D[j, 0, 1] + D[j, 1, 0]), D[j, 1, 1]]) / n
+    W, gain, sigma, cell, noise = np.empty((m, 3)), np.empty(m), np.empty(m), 1e-9, 0.0
+    for i in range(m):
+        a, b, d = R[i, 0, 0] + own[0], 0.5 * (R[i, 0, 1] + R[i, 1, 0]) + own[1], R[i, 1, 1] + own[2]
+        det = a * d - b * b
+        W[i, 0], W[i, 1], W[i, 2] = d / det / 3.0, -b / det / 3.0, a / det / 3.0
+        gain[i] = base[i] + top - 0.5 * math.log(det) - LOG_2PI
+        large = 0.5 * (a + d) + math.sqrt(0.25 * (a - d) ** 2 + b * b)
+        sigma[i] = math.sqrt(large)
+        cell = max(cell, math.sqrt(6.0 * max(gain[i], 1.0) * large))
+        noise += (a + d) / m
+    apart = np.array([2.0 * math.sqrt(noise), 2.0 * math.sqrt(noise) / max(np.abs(q).max(), 1e-9)])
+    pairs, tolerance = _anchors(q, sigma, counts, most)
+    return W, gain, odds - top, sigma, cell, apart, pairs, tolerance
+
+
+@jit
+def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, Array]:
+    """The pairs of observations to anchor on and their tolerances."""
+    m = q.shape[0]
+    size = m * (m - 1) // 2
+    first, second, rank, found = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), 0
+    for a in range(m):
+        for b in range(a + 1, m):
+            work = float(counts[a]) * float(counts[b])
+            length = math.hypot(q[a, 0] - q[b, 0], q[a, 1] - q[b, 1])
+            if work > 0.0 and length > 3.0 * (sigma[a] + sigma[b]):
+                first[found], second[found], rank[found] = a, b, math.log(work) - 2.0 * math.log(length)
+                found += 1
+    times, pairs, tolerance, kept = np.zeros(m, np.int64), np.empty((most, 2), np.int64), np.empty(most), 0
+    for k in np.argsort(rank[:found], kind="mergesort"):
+        a, b = first[k], second[k]
+        if kept < most and times[a] < 3 and times[b] < 3:
+            times[a] += 1
+            times[b] += 1
+            pairs[kept, 0], pairs[kept, 1] = a, b
+            tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
+            kept += 1
+    return pairs[:kept], tolerance[:kept]
+
+
+@jit
 def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
     """Points sorted into square cells: origin (2,), shape (2,), start of each cell, index. Cells in row-major order."""
     n = points.shape[0]
@@ -67,14 +122,15 @@ def best_near(
 def explore(
     q: Array, W: Array, gain: Array, anchors: Array, tolerance: Array, start: Array, columns: Array, points: Array,
     worth: Array, prior_inverse: Array, prior_gate2: float, cell: float, low: Array, shape: Array, cells: Array,
-    index: Array, apart: Array, basins: int, budget: int,
+    index: Array, apart: Array, basins: int, budget: int, behind: float,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Poses from all anchors' pairs of candidates, voted on by all observations; the best distinct ones, best first.
 
     q (m, 2) observations; W (m, 3) inverse covariances for the vote; gain (m,) what a perfect vote adds; anchors (a, 2)
     pairs of observations, tolerance (a,) m on their distance; candidates of i in columns[start[i]:start[i + 1]]; worth (n,)
     log odds of each point relative to the best. apart (2,): two poses nearer than this (m, rad) are one basin.
-    Stops early when two anchors agree on a basin that leads by 10 nats and explains 60 % of what can be gained.
+    A pose is given up once it cannot come within `behind` nats of the best any more. Stops early when two anchors agree
+    on a basin that leads by 10 nats and explains 60 % of what can be gained.
     Returns poses (basins, 3), scores (-inf where none), poses tried and anchors used.
     """
     m = q.shape[0]
@@ -111,7 +167,7 @@ def explore(
                     continue
                 tried += 1
                 score = -cost
-                floor = scores[basins - 1]
+                floor = max(scores[basins - 1], scores[0] - behind)
                 for i in range(m):
                     if score + rest[i] <= floor:
                         score = -np.inf
@@ -175,205 +231,3 @@ def _settle(
         k -= 1
     poses[k, 0], poses[k, 1], poses[k, 2], scores[k] = x, y, t, score
     support[k], touched[k] = votes, True
-
-
-@jit
-def local_candidates(
-    pose: Array,
-    q: Array,
-    reach: Array,
-    points: Array,
-    cell: float,
-    low: Array,
-    shape: Array,
-    cells: Array,
-    index: Array,
-) -> tuple[Array, Array]:
-    """Points within reach (m,) of where each observation falls under `pose`, as (start, columns)."""
-    m = q.shape[0]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    start, found = np.zeros(m + 1, np.int64), []
-    for i in range(m):
-        ox, oy = q[i, 0] - pose[0], q[i, 1] - pose[1]
-        x, y = c * ox + s * oy, -s * ox + c * oy
-        rings = int(reach[i] / cell) + 1
-        cx, cy = math.floor((x - low[0]) / cell), math.floor((y - low[1]) / cell)
-        first, last = max(cy - rings, 0), min(cy + rings + 1, shape[1])
-        for a in range(max(cx - rings, 0), min(cx + rings + 1, shape[0])):
-            if last <= first:
-                continue
-            for k in range(cells[a * shape[1] + first], cells[a * shape[1] + last]):
-                j = index[k]
-                if math.hypot(points[j, 0] - x, points[j, 1] - y) <= reach[i]:
-                    found.append(j)
-        start[i + 1] = len(found)
-    columns = np.empty(len(found), np.int64)
-    for k in range(len(found)):
-        columns[k] = found[k]
-    return start, columns
-
-
-@jit
-def refine(
-    pose: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array,
-    start: Array, columns: Array, gate2: float, rounds: int,
-) -> tuple[Array, Array, Array, float]:  # fmt: skip
-    """Assign greedily at the pose, move the pose by Gauss-Newton, again; L of the end in its nonlinear (Laplace) form.
-
-    L = sum [base_i + odds_j - r' V^-1 r / 2 - log det(2 pi V) / 2] - xi' P^-1 xi / 2 - log det(P M) / 2, V = R_i + D_j,
-    M = P^-1 + sum J' V^-1 J.  Returns pose, M, match and L.
-    """
-    m, n = q.shape[0], points.shape[0]
-    at, match, M = pose.copy(), np.full(m, -1, np.int64), prior_inverse.copy()
-    spread = np.zeros((3, 3))  # the first round trusts the pose, later ones know its covariance
-    for _round in range(rounds):
-        match = _assign(at, spread, q, R, points, D, base, odds, start, columns, gate2, n)
-        for _ in range(2):
-            M, g = _normal(at, q, R, points, D, match, prior_inverse)
-            at = at + np.linalg.solve(M, g)
-        spread = np.linalg.inv(M)
-    at, M, value = fit(at, match, q, R, points, D, base, odds, prior_inverse, 1)
-    return at, M, match, value
-
-
-@jit
-def fit(
-    pose: Array, match: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
-    prior_inverse: Array, rounds: int,
-) -> tuple[Array, Array, float]:  # fmt: skip
-    """The most probable pose of a given match by Gauss-Newton from `pose`, M there, and L in its Laplace form."""
-    at = pose.copy()
-    for _ in range(rounds):
-        M, g = _normal(at, q, R, points, D, match, prior_inverse)
-        at = at + np.linalg.solve(M, g)
-    M, g = _normal(at, q, R, points, D, match, prior_inverse)
-    value = -0.5 * _quadratic(prior_inverse, at[0], at[1], at[2])
-    value += 0.5 * (math.log(np.linalg.det(prior_inverse)) - math.log(np.linalg.det(M)))
-    c, s = math.cos(at[2]), math.sin(at[2])
-    for i in range(q.shape[0]):
-        j = match[i]
-        if j >= 0:
-            u = q[i, 0] - c * points[j, 0] + s * points[j, 1] - at[0]
-            v = q[i, 1] - s * points[j, 0] - c * points[j, 1] - at[1]
-            d2, det = _distance(u, v, R[i], D[j])
-            value += base[i] + odds[j] - 0.5 * (d2 + math.log(det)) - LOG_2PI
-    return at, M, value
-
-
-@jit
-def _distance(u: float, v: float, A: Array, B: Array) -> tuple[float, float]:
-    """d2 and determinant of (u, v) under A + B."""
-    a, b, d = A[0, 0] + B[0, 0], A[0, 1] + B[0, 1], A[1, 1] + B[1, 1]
-    det = a * d - b * b
-    return (d * u * u - 2.0 * b * u * v + a * v * v) / det, det
-
-
-@jit
-def _assign(
-    at: Array, spread: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
-    start: Array, columns: Array, gate2: float, n: int,
-) -> Array:  # fmt: skip
-    """Greedy one-to-one assignment by gain at a pose whose covariance is `spread`."""
-    gains = pose_gains(at, spread, q, R, points, D, base, odds, start, columns, gate2)
-    match, used = np.full(q.shape[0], -1, np.int64), np.zeros(n, np.bool_)
-    owner = np.empty(columns.shape[0], np.int64)
-    for i in range(q.shape[0]):
-        owner[start[i] : start[i + 1]] = i
-    for c in np.argsort(-gains):
-        if gains[c] <= 0.0:
-            break
-        if match[owner[c]] < 0 and not used[columns[c]]:
-            match[owner[c]] = columns[c]
-            used[columns[c]] = True
-    return match
-
-
-@jit
-def pose_gains(
-    at: Array, spread: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
-    start: Array, columns: Array, gate2: float,
-) -> Array:  # fmt: skip
-    """Gain of each listed pairing at a pose with covariance `spread`; -inf outside the gate."""
-    gains = np.empty(columns.shape[0])
-    c, s = math.cos(at[2]), math.sin(at[2])
-    for i in range(q.shape[0]):
-        for k in range(start[i], start[i + 1]):
-            j = columns[k]
-            gx, gy = c * points[j, 0] - s * points[j, 1], s * points[j, 0] + c * points[j, 1]
-            V = R[i] + D[j] + _lever(gx, gy, spread)
-            d2, det = _distance(q[i, 0] - gx - at[0], q[i, 1] - gy - at[1], V, np.zeros((2, 2)))
-            gains[k] = base[i] + odds[j] - 0.5 * (d2 + math.log(det)) - LOG_2PI if d2 < gate2 else -np.inf
-    return gains
-
-
-@jit
-def _lever(gx: float, gy: float, P: Array) -> Array:
-    """J P J' with J = [I | (-gy, gx)']."""
-    out = np.empty((2, 2))
-    out[0, 0] = P[0, 0] - 2.0 * gy * P[0, 2] + gy * gy * P[2, 2]
-    out[0, 1] = P[0, 1] + gx * P[0, 2] - gy * P[1, 2] - gx * gy * P[2, 2]
-    out[1, 0] = out[0, 1]
-    out[1, 1] = P[1, 1] + 2.0 * gx * P[1, 2] + gx * gx * P[2, 2]
-    return out
-
-
-@jit
-def _normal(
-    at: Array, q: Array, R: Array, points: Array, D: Array, match: Array, prior_inverse: Array
-) -> tuple[Array, Array]:
-    """Gauss-Newton's matrix and right side at the pose, prior at zero motion."""
-    M, g = prior_inverse.copy(), -prior_inverse @ at
-    for i in range(q.shape[0]):
-        if match[i] >= 0:
-            A, h = normal_part(at, q[i], R[i], points[match[i]], D[match[i]])
-            M += A
-            g += h
-    return M, g
-
-
-@jit
-def normal_part(at: Array, q: Array, R: Array, p: Array, D: Array) -> tuple[Array, Array]:
-    """J' V^-1 J and J' V^-1 r of one pairing."""
-    c, s = math.cos(at[2]), math.sin(at[2])
-    gx, gy = c * p[0] - s * p[1], s * p[0] + c * p[1]
-    u, v = q[0] - gx - at[0], q[1] - gy - at[1]
-    a, b, d = R[0, 0] + D[0, 0], R[0, 1] + D[0, 1], R[1, 1] + D[1, 1]
-    det = a * d - b * b
-    w00, w01, w11 = d / det, -b / det, a / det
-    A, h = np.empty((3, 3)), np.empty(3)
-    j0, j1 = -gy, gx
-    A[0, 0], A[0, 1], A[1, 1] = w00, w01, w11
-    A[0, 2], A[1, 2] = w00 * j0 + w01 * j1, w01 * j0 + w11 * j1
-    A[2, 2] = j0 * A[0, 2] + j1 * A[1, 2]
-    A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-    h[0], h[1] = w00 * u + w01 * v, w01 * u + w11 * v
-    h[2] = j0 * h[0] + j1 * h[1]
-    return A, h
-
-
-@jit
-def left_out_gains(
-    at: Array, M: Array, match: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
-    start: Array, columns: Array, gate2: float,
-) -> Array:  # fmt: skip
-    """Gain of each listed pairing of each observation at the pose that the *other* pairings give, with its covariance."""
-    gains = np.empty(columns.shape[0])
-    whole = np.linalg.inv(M)
-    for i in range(q.shape[0]):
-        pose, spread = at, whole
-        if match[i] >= 0:
-            A, h = normal_part(at, q[i], R[i], points[match[i]], D[match[i]])
-            spread = np.linalg.inv(M - A)
-            pose = at - spread @ h
-        one_start = np.array([0, start[i + 1] - start[i]])
-        part = columns[start[i] : start[i + 1]]
-        gains[start[i] : start[i + 1]] = pose_gains(
-            pose, spread, q[i : i + 1], R[i : i + 1], points, D, base[i : i + 1], odds, one_start, part, gate2
-        )
-    return gains
-
-
-@jit
-def log_prior(pose: Array, prior_inverse: Array) -> float:
-    """Log density of the motion's prior, but for a constant."""
-    return -0.5 * _quadratic(prior_inverse, pose[0], pose[1], pose[2])

@@ -147,22 +147,9 @@ def _condition(z: Array, S: Array, R: Array, i: int, j: int) -> None:
 
 @jit
 def search(
-    nu: Array,
-    C: Array,
-    R: Array,
-    base: Array,
-    bound: Array,
-    order: Array,
-    start: Array,
-    columns: Array,
-    gates2: Array,
-    incumbent: Array,
-    incumbent_value: float,
-    slack: float,
-    budget: int,
-    pool: Array,
-    pool_value: Array,
-) -> tuple[int, bool]:
+    nu: Array, C: Array, R: Array, base: Array, bound: Array, order: Array, start: Array, columns: Array, gates2: Array,
+    incumbent: Array, incumbent_value: float, slack: float, budget: int, pool: Array, pool_value: Array,
+) -> tuple[int, bool]:  # fmt: skip
     """Branch and bound for the maximum of L, warm-started; nodes spent, and whether it was finished (then proven).
 
     Fills `pool (K, m)` and `pool_value (K,)` with the best hypotheses met, best first; all within `slack` nats of the
@@ -243,107 +230,61 @@ def _keep(pool: Array, pool_value: Array, match: Array, value: float, K: int) ->
 
 
 @jit
-def left_out_gains(match: Array, nu: Array, C: Array, R: Array, base: Array, start: Array, columns: Array) -> Array:
-    """Gain in L of each candidate (as listed in `columns`) of each observation, given all the *other* pairings of match.
+def solve(
+    nu: Array, C: Array, R: Array, base: Array, start: Array, columns: Array, gate2: float, slack: float, budget: int,
+    size: int,
+) -> tuple[Array, Array, int, bool]:  # fmt: skip
+    """Greedy and certificate at once: `search` from the best of `complete`, observations of few candidates first.
 
-    From one inverse Q = S^-1: leaving out block b, Q' = Q - Q[:, b] Q_bb^-1 Q[b, :].
+    Where nobody's candidates are more than one or another's too, that one pairing each is where the search begins.
+    Returns pool (size, m), its L (size,), nodes and whether the search was finished.
     """
-    m = match.shape[0]
-    rows = np.flatnonzero(match >= 0)
-    k = rows.shape[0]
-    S, v = np.empty((2 * k, 2 * k)), np.empty(2 * k)
-    for a in range(k):
-        ja = match[rows[a]]
-        v[2 * a], v[2 * a + 1] = nu[rows[a], ja, 0], nu[rows[a], ja, 1]
-        for b in range(k):
-            jb = match[rows[b]]
-            for s in range(2):
-                for t in range(2):
-                    S[2 * a + s, 2 * b + t] = C[2 * ja + s, 2 * jb + t]
-        S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += R[rows[a]]
-    Q = np.ascontiguousarray(np.linalg.inv(S)) if k > 0 else S
-    gains = np.empty(columns.shape[0])
-    own = np.empty((2, 2 * k))
+    m, n = nu.shape[0], nu.shape[1]
+    first, used, single = np.full(m, -1, np.int64), np.zeros(n, np.bool_), True
     for i in range(m):
-        Qi = np.ascontiguousarray(Q)
-        if match[i] >= 0:
-            at = 2 * np.searchsorted(rows, i)
-            block = np.linalg.inv(np.ascontiguousarray(Q[at : at + 2, at : at + 2]))
-            Qi = np.ascontiguousarray(
-                Q - np.ascontiguousarray(Q[:, at : at + 2]) @ block @ np.ascontiguousarray(Q[at : at + 2, :])
-            )
-        for c in range(start[i], start[i + 1]):
-            j = columns[c]
-            for b in range(k):
-                jb = match[rows[b]]
-                for s in range(2):
-                    own[s, 2 * b], own[s, 2 * b + 1] = C[2 * j + s, 2 * jb], C[2 * j + s, 2 * jb + 1]
-            W = own @ np.ascontiguousarray(Qi)
-            u0, u1 = nu[i, j, 0], nu[i, j, 1]
-            a, b01, d = (
-                C[2 * j, 2 * j] + R[i, 0, 0],
-                C[2 * j, 2 * j + 1] + R[i, 0, 1],
-                C[2 * j + 1, 2 * j + 1] + R[i, 1, 1],
-            )
-            for q in range(2 * k):
-                u0 -= W[0, q] * v[q]
-                u1 -= W[1, q] * v[q]
-                a -= W[0, q] * own[0, q]
-                b01 -= W[0, q] * own[1, q]
-                d -= W[1, q] * own[1, q]
-            det = a * d - b01 * b01
-            if det > 0.0 and a > 0.0:
-                d2 = (d * u0 * u0 - 2.0 * b01 * u0 * u1 + a * u1 * u1) / det
-                gains[c] = base[i, j] - 0.5 * (d2 + math.log(det)) - LOG_2PI
-            else:
-                gains[c] = -np.inf
-    return gains
+        single &= start[i + 1] - start[i] <= 1
+        if single and start[i + 1] > start[i]:
+            first[i] = columns[start[i]]
+            single &= not used[first[i]]
+            used[first[i]] = True
+    if single:
+        value = value_of(first, nu, C, R, base)[0]
+    else:
+        first, value = complete(np.full(m, -1, np.int64), nu, C, R, base, start, columns, gate2)
+    if not value > 0.0:
+        first, value = np.full(m, -1, np.int64), 0.0
+    order, ranked_start, ranked = rank(start, columns)
+    bound = most_possible(start, columns, base, R)
+    pool, values = np.full((size, m), -1, np.int64), np.full(size, -np.inf)
+    nodes, proven = search(
+        nu, C, R, base, bound, order, ranked_start, ranked, np.full(m + 1, np.inf), first, value, slack, budget, pool,
+        values,
+    )  # fmt: skip
+    return pool, values, nodes, proven
 
 
 @jit
-def marginals(gains: Array, start: Array, columns: Array, n: int, rounds: int) -> tuple[Array, Array, float]:
-    """Probability of each listed pairing, of each observation being unpaired (m,), and the log of their normaliser.
+def rank(start: Array, columns: Array) -> tuple[Array, Array, Array]:
+    """The order of the observations, fewest candidates first (ties by index), and their lists in that order."""
+    m = start.shape[0] - 1
+    order = np.argsort(start[1:] - start[:-1], kind="mergesort")
+    ranked_start, ranked = np.zeros(m + 1, np.int64), np.empty_like(columns)
+    for s in range(m):
+        i = order[s]
+        ranked_start[s + 1] = ranked_start[s] + start[i + 1] - start[i]
+        ranked[ranked_start[s] : ranked_start[s + 1]] = columns[start[i] : start[i + 1]]
+    return order, ranked_start, ranked
 
-    One-to-one, by belief propagation; the normaliser (the sum over all assignments of exp L) is Bethe's.
-    `gains` are log ratios against "unpaired". References: J. Williams, R. Lau, IEEE T-AES 50(4), 2014, eq. 28 to 30;
-    P. Vontobel, IEEE T-IT 59(3), 2013 (the Bethe permanent).
-    """
-    m, size = start.shape[0] - 1, columns.shape[0]
-    psi, to_i, to_j = np.empty(size), np.ones(size), np.zeros(size)
-    for c in range(size):
-        psi[c] = math.exp(min(max(gains[c], -60.0), 60.0))
-    sums = np.zeros(n)
-    for _ in range(rounds):
-        sums[:] = 0.0
-        for i in range(m):
-            total = 1.0
-            for c in range(start[i], start[i + 1]):
-                total += psi[c] * to_i[c]
-            for c in range(start[i], start[i + 1]):
-                to_j[c] = psi[c] / max(total - psi[c] * to_i[c], 1e-300)
-                sums[columns[c]] += to_j[c]
-        change = 0.0
-        for c in range(size):
-            new = 1.0 / (1.0 + max(sums[columns[c]] - to_j[c], 0.0))
-            change = max(change, abs(new - to_i[c]))
-            to_i[c] = new
-        if change < 1e-4:
-            break
-    p, none, log_z = np.empty(size), np.empty(m), 0.0
-    for i in range(m):
-        total = 1.0
+
+@jit
+def most_possible(start: Array, columns: Array, base: Array, R: Array) -> Array:
+    """Upper bound (m,) of what each observation can add to L: the best base gain at a perfect fit, S no less than R."""
+    most = np.zeros(start.shape[0] - 1)
+    for i in range(most.shape[0]):
+        det = R[i, 0, 0] * R[i, 1, 1] - R[i, 0, 1] * R[i, 1, 0]
         for c in range(start[i], start[i + 1]):
-            total += psi[c] * to_i[c]
-        none[i] = 1.0 / total
-        log_z += math.log(total)
-        for c in range(start[i], start[i + 1]):
-            p[c] = psi[c] * to_i[c] / total
-            log_z -= math.log(1.0 + to_j[c] * to_i[c])
-    for c in range(size):
-        if sums[columns[c]] >= 0.0:  # each landmark once
-            log_z += math.log(1.0 + sums[columns[c]])
-            sums[columns[c]] = -1.0
-    return p, none, log_z
+            most[i] = max(most[i], base[i, columns[c]] - 0.5 * math.log(det) - LOG_2PI)
+    return most
 
 
 @jit

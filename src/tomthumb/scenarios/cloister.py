@@ -15,6 +15,7 @@ import numpy as np
 from tomthumb.geometry import rotation
 from tomthumb.models.motion import OdometryIncrement
 from tomthumb.models.sensor import Cartesian
+from tomthumb.scenarios.looks import Dress, dressed
 from tomthumb.scenarios.simulate import DETECT_CAP, EDGE, Eye, Streams, path, require, scans
 from tomthumb.types import Array, Control, Prior, Scenario, Step, Truth
 
@@ -47,6 +48,10 @@ def cloister(
     spacing: float = 2.0,
     jitter: float = 0.0,
     occlusion: bool = False,
+    classes: int = 0,
+    confusion: float = 0.0,
+    diameter_std: float = 0.0,
+    route: Literal["round", "reversed", "shuttle"] = "round",
     faithful: bool = False,
 ) -> Scenario:
     """The cloister, with everything that makes it harder as an option; the defaults are the reference's.
@@ -58,21 +63,26 @@ def cloister(
     told twice its variance. `odometry_noise` and `sensor_noise` multiply standard deviations; `odometry="none"` reads
     (0, 0, 0). `people` walk through the square, at most 0.15 m a step, and are observed like landmarks; `clutter` is a
     mean per scan; `detect` a probability; `spacing` m along a row; `jitter` m a Gaussian shift of every landmark; with
-    `occlusion` posts 0.1 m wide hide what is behind them. `faithful` changes nothing here: the filter's reference mode
-    reads it from `info`.
+    `occlusion` posts 0.1 m wide hide what is behind them. `classes`, `confusion` and `diameter_std` say what the posts
+    look like (`looks.Dress`). After the taught laps the robot goes on as before ("round"), turns about and walks the
+    laps the other way ("reversed"), or walks there and back along the first two sides ("shuttle"). `faithful` changes
+    nothing here: the filter's reference mode reads it from `info`.
 
     Raises TomThumbError for values out of range.
     """
-    _check(laps, teach, people, odometry_noise, odometry, sensor_noise, clutter, detect, spacing, jitter)
+    _check(laps, teach, people, odometry_noise, odometry, sensor_noise, clutter, detect, spacing, jitter, route)
     streams = Streams.of(rng)
+    dress = Dress(classes, confusion, diameter_std)
+    dress.check("cloister")
     noise: dict[str, Any] = {name: getattr(EYE, name) * sensor_noise for name in ("range_share", "bearing_std")}
     eye = replace(EYE, **noise, detect=detect, clutter=clutter, occlusion=occlusion)
-    motions, stds = _motions(laps)
+    motions, stds = _motions(laps, teach, route)
     poses = path(np.zeros(3), list(motions))
     landmarks = posts(spacing)
     landmarks = landmarks + jitter * streams.jitter.standard_normal(landmarks.shape)
     crowd = walk(people, len(poses), streams.people)
     seen = scans(eye, poses, landmarks, streams, crowd, _edges(len(poses)))
+    seen = dressed(seen, len(landmarks), dress, streams.layout)
     controls = _controls(motions, stds, odometry, odometry_noise, streams.odometry)
     moments = enumerate(zip(controls, poses, seen, strict=True))
     return Scenario(
@@ -130,12 +140,25 @@ def _edges(steps: int) -> Array:
     return np.where(np.arange(steps) % LAP < LAST_SIDE, EDGE, -EDGE)
 
 
-def _motions(laps: int) -> tuple[Array, Array]:
-    """The true motions (168 laps - 1, 3) and the standard deviations of their readings."""
-    moves = np.tile([SIDE / MOVES, 0.0, 0.0], (MOVES, 1))
-    turns = np.tile([0.0, 0.0, math.pi / 2 / TURNS], (TURNS, 1))
-    stds = np.vstack([np.tile(MOVE_STD, (MOVES, 1)), np.tile(TURN_STD, (TURNS, 1))])
-    return np.tile(np.vstack([moves, turns]), (4 * laps, 1))[:-1], np.tile(stds, (4 * laps, 1))[:-1]
+Route = list[tuple[int, float]]  # motions and turns: (how many, rad each; 0 walks)
+
+
+def _motions(laps: int, teach: int, route: str) -> tuple[Array, Array]:
+    """The true motions (n, 3), 168 laps - 1 of them on the usual route, and the standard deviations of their readings."""
+    left = math.pi / 2 / TURNS
+    round_about: Route = [(MOVES, 0.0), (TURNS, left)] * 4
+    after: Route = round_about * (laps - teach)
+    if route == "reversed":
+        after = [(TURNS, left), *([(MOVES, 0.0), (TURNS, -left)] * 4 * (laps - teach))]
+    if route == "shuttle":
+        there: Route = [(MOVES, 0.0), (TURNS, left), (MOVES, 0.0), (2 * TURNS, left)]
+        back: Route = [(MOVES, 0.0), (TURNS, -left), (MOVES, 0.0), (2 * TURNS, left)]
+        after = [*there, *back] * (laps - teach)
+    parts = [(n, turn) for n, turn in [*(round_about * teach), *after] for _ in range(n)]
+    turns = np.array([turn for _, turn in parts])
+    walks = turns == 0.0
+    motions = np.column_stack([np.where(walks, SIDE / MOVES, 0.0), np.zeros(len(turns)), turns])
+    return motions[:-1], np.where(walks[:, None], MOVE_STD, TURN_STD)[:-1]
 
 
 def _controls(
@@ -162,6 +185,7 @@ def _check(
     detect: float,
     spacing: float,
     jitter: float,
+    route: str,
 ) -> None:
     require(laps >= 1, f"cloister: laps={laps}: at least 1")
     require(0 <= teach < laps, f"cloister: teach={teach} of laps={laps}: 0 to {laps - 1}, a lap must be left to score")
@@ -172,6 +196,7 @@ def _check(
     require(0.0 <= clutter < 1e4, f"cloister: clutter={clutter}: a mean per scan, 0 to 10000")
     require(0.0 < detect <= 1.0, f"cloister: detect={detect}: a probability above 0, at most 1")
     require(0.02 <= spacing <= SIDE, f"cloister: spacing={spacing}: 0.02 to {SIDE:g} m")
+    require(route in ("round", "reversed", "shuttle"), f"cloister: route={route!r}: 'round', 'reversed' or 'shuttle'")
     require(0.0 <= jitter < math.inf, f"cloister: jitter={jitter}: 0 or more, m")
 
 

@@ -65,15 +65,18 @@ def track(
     clutter: float = 0.0,
     detect: float = 0.9,
     mislabel: float = 0.0,
+    confusion: float = 0.0,
 ) -> Scenario:
     """Drive `laps` laps along the middle of a track file at `speed` m/s, with `rate` scans a second.
 
     Labels are colours (0 yellow, 1 blue, 2 orange, 3 large orange), unknown (-1) for a share `mislabel` of the
-    observations and for clutter. The sensor is as in `worlds.square`. Raises BrokenFile for files that are no track.
+    observations and for clutter; a share `confusion` of the others is read at random. The sensor is as in
+    `worlds.square`. Raises BrokenFile for files that are no track.
     """
     require(0 <= teach < laps <= 1000, f"track: laps={laps}, teach={teach}: 0 <= teach < laps <= 1000")
     require(0.0 < speed <= 100.0 and 0.1 <= rate <= 1000.0, f"track: speed={speed}, rate={rate}: both above 0")
     require(0.0 <= mislabel <= 1.0, f"track: mislabel={mislabel}: 0 to 1")
+    require(0.0 <= confusion <= 1.0, f"track: confusion={confusion}: 0 to 1")
     require(range_std > 0 and bearing_std > 0 and max_range > 0, "track: range_std, bearing_std, max_range: above 0")
     require(0.0 < detect <= 1.0 and clutter >= 0.0 and odometry_noise >= 0.0, "track: detect, clutter or noise wrong")
     world = read_track(Path(path))
@@ -82,6 +85,7 @@ def track(
     start, motions = _drive(world, speed / rate, laps)
     poses = poses_along(start, list(motions))
     seen = scans(eye, poses, world.cones, streams, np.empty((len(poses), 0, 2)))
+    colours = Colours(world.labels, mislabel, confusion, streams.layout, streams.layout.spawn(1)[0])
     stds = odometry_noise * np.tile([0.02 * speed / rate, 0.01 * speed / rate, math.radians(0.1)], (len(motions), 1))
     readings = motions + stds * streams.odometry.standard_normal(motions.shape)
     controls = [None, *(Control(u, 1 / rate, np.diag(std**2)) for u, std in zip(readings, stds, strict=True))]
@@ -98,7 +102,7 @@ def track(
         ),
         prior=Prior(start, np.zeros((3, 3))),
         steps=[
-            Step(k / rate, control, _coloured(z, ids, world.labels, mislabel, streams.layout), Truth(pose, ids))
+            Step(k / rate, control, colours.of(z, ids), Truth(pose, ids))
             for k, (control, pose, (z, ids)) in enumerate(zip(controls, poses, seen, strict=True))
         ],
         landmarks=world.cones,
@@ -108,10 +112,22 @@ def track(
     )
 
 
-def _coloured(scan: Observations, ids: Ids, labels: Ids, mislabel: float, rng: np.random.Generator) -> Observations:
-    colours = np.where(ids >= 0, labels[np.maximum(ids, 0)], NONE)
-    unknown = rng.random(len(ids)) < mislabel
-    return Observations(scan.z, scan.R, np.where(unknown, NONE, colours))
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """Colours as they are read: some not at all, some wrongly; each by a stream of its own."""
+
+    labels: Ids
+    mislabel: float
+    confusion: float
+    rng: np.random.Generator
+    wrong: np.random.Generator
+
+    def of(self, scan: Observations, ids: Ids) -> Observations:
+        """The scan with the colours of landmarks `ids (m,)`; clutter has none."""
+        confused, other = self.wrong.random(len(ids)) < self.confusion, self.wrong.integers(0, LARGE + 1, len(ids))
+        colours = np.where(confused, other, self.labels[np.maximum(ids, 0)])
+        unknown = (self.rng.random(len(ids)) < self.mislabel) | (ids < 0)
+        return Observations(scan.z, scan.R, np.where(unknown, NONE, colours))
 
 
 def _drive(world: Track, step: float, laps: int) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels.forest import depress, pair_spikes, potentiate
-from tomthumb.types import Array, Ids
+from tomthumb.types import Array, Ids, Lessons
 
 __all__ = ["LogMemory", "PairMemory", "Plasticity", "depress", "fixed_point", "log_rule", "potentiate"]
 
@@ -101,14 +101,18 @@ class LogMemory:
     For each landmark i, v_ij estimates P(j seen within the last `window` s | i is seen): on a confirmed sighting of i,
     v_i <- v_i + eta (hit - v_i) from v = 1/2. With `rate` None eta = 1/(n + 1), and v is exactly (hits + 1/2)/(n + 1);
     a rate keeps eta from falling below it, and so forgets old laps. "Lately" means in earlier steps, which is all that
-    is known when the candidates of a step are weighed; a landmark may well be its own company. Memory: two numbers for
-    each pair of landmarks.
+    is known when the candidates of a step are weighed; a landmark may well be its own company.
+
+    Bounded: of more than `size` landmarks those are forgotten that were seen least among the half unseen for longest
+    (crumbs fade, stones stay). That is one number for each pair of those remembered, 8 MB at 1000.
     """
 
-    def __init__(self, window: float = 3.0, rate: float | None = None, clip: float = 2.0) -> None:
+    def __init__(self, window: float = 3.0, rate: float | None = None, clip: float = 2.0, size: int = 1000) -> None:
         if not (window > 0.0 and clip >= 0.0 and (rate is None or 0.0 < rate < 1.0)):
             raise TomThumbError("the memory needs a window > 0 s, a clip >= 0 nats and a rate in (0, 1) or None")
-        self.window, self.rate, self.clip = window, rate, clip
+        if size < 1:
+            raise TomThumbError(f"the memory must have room for a landmark at least, size={size}")
+        self.window, self.rate, self.clip, self.size = window, rate, clip, size
         self._slot: dict[int, int] = {}
         self._last: Array = np.full(0, -np.inf)
         self._sightings: Ids = np.zeros(0, np.int64)
@@ -121,7 +125,9 @@ class LogMemory:
 
     def learn(self, ids: Ids | Sequence[int], t: float) -> None:
         """Confirmed identities of one step at time `t` s (negative ones are nobody, and skipped)."""
-        slots = [self._slot_of(int(i)) for i in ids if i >= 0]
+        seen = list(dict.fromkeys(int(i) for i in ids if i >= 0))[: self.size]
+        self._make_room(seen)
+        slots = [self._slot_of(i) for i in seen]
         n = len(self._slot)
         hit = (t - self._last[:n] <= self.window).astype(float)
         for i in slots:
@@ -130,6 +136,10 @@ class LogMemory:
             self._sightings[i] += 1
             self._total += 1
         self._last[slots] = t
+
+    def known(self) -> Ids:
+        """The landmarks that are remembered (k,)."""
+        return np.array(list(self._slot), np.int64)
 
     def probability(self, j: int, i: int) -> float:
         """v_ij = P(j lately | i), 1/2 where nothing is known."""
@@ -164,13 +174,39 @@ class LogMemory:
                 slot = self._slot.pop(int(i))
                 self._drop(slot)
 
+    def recall(self, ids: Ids | Sequence[int]) -> Lessons:
+        """What was learned about those of the landmarks `ids` that are remembered."""
+        known = [int(i) for i in ids if int(i) in self._slot]
+        k = np.array([self._slot[i] for i in known], np.int64)
+        together = self._v[np.ix_(k, k)]
+        return Lessons(np.array(known, np.int64), self._sightings[k], together, self._base[k], self._total)
+
+    def remind(self, lessons: Lessons) -> None:
+        """Begin with these lessons; nobody was seen lately. Of too many those seen most stay."""
+        best = np.sort(np.argsort(-lessons.sightings, kind="stable")[: self.size])
+        self._slot = {int(i): k for k, i in enumerate(lessons.ids[best])}
+        self._last = np.full(len(best), -np.inf)
+        self._sightings, self._base = lessons.sightings[best].copy(), lessons.lately[best].copy()
+        self._v, self._total = lessons.together[np.ix_(best, best)].copy(), lessons.total
+
     def fork(self) -> LogMemory:
         """An independent copy, for another brother."""
-        twin = LogMemory(self.window, self.rate, self.clip)
+        twin = LogMemory(self.window, self.rate, self.clip, self.size)
         twin._slot, twin._total = dict(self._slot), self._total
         twin._last, twin._sightings, twin._base = self._last.copy(), self._sightings.copy(), self._base.copy()
         twin._v = self._v.copy()
         return twin
+
+    def _make_room(self, seen: Sequence[int]) -> None:
+        """Forget as many as needed for the new ones among `seen`, none of which is forgotten."""
+        wanted = len(self._slot) + sum(i not in self._slot for i in seen) - self.size
+        if wanted <= 0:
+            return
+        others = [i for i in self._slot if i not in set(seen)]
+        others.sort(key=lambda i: float(self._last[self._slot[i]]))
+        old = others[: max(wanted, (len(others) + 1) // 2)]
+        old.sort(key=lambda i: int(self._sightings[self._slot[i]]))  # stable: of equals the longest unseen
+        self.forget(old[:wanted])
 
     def _eta(self, seen: int) -> float:
         return max(1.0 / (seen + 2), self.rate or 0.0)
@@ -189,7 +225,7 @@ class LogMemory:
         if slot is None:
             slot = self._slot[i] = len(self._slot)
             if slot >= len(self._last):
-                self._grow(max(64, 2 * len(self._last)))
+                self._grow(min(max(64, 2 * len(self._last)), self.size))
             self._last[slot], self._sightings[slot] = -np.inf, 0
             self._v[: slot + 1, slot] = self._unseen(self._sightings[: slot + 1])
             self._v[slot, : slot + 1] = 0.5

@@ -1,0 +1,149 @@
+"""Pose basins: hypotheses with the pose that each implies, found by anchored flights over the rigid motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tomthumb.associators.tom_thumb.scene import Rigid, Window
+from tomthumb.kernels import flights, motion
+from tomthumb.types import Array, Ids, Mask
+
+POLISHED = 4  # basins, best first, whose assignment is made optimal
+BEHIND = 15.0  # nats of the vote: a pose further behind the best is not refined
+NO_LABELS: Mask = np.empty((0, 0), np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class Basin:
+    """One pose basin: its best hypothesis, L, and the gains of all listed pairings given the others.
+
+    `pose (3,)` and its inverse covariance `M (3, 3)` where the search went over poses.
+    """
+
+    match: Ids
+    value: float
+    gains: Array
+    window: Window
+    pose: Array | None = None
+    M: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How much is flown: anchors (pairs of observations), basins kept, poses tried; basins `reach` nats behind are dropped."""
+
+    anchors: int
+    basins: int
+    poses: int
+    reach: float
+
+
+def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget) -> tuple[list[Basin], dict[str, Any]]:
+    """Poses from anchors, refined; one basin for each distinct pose, best first.
+
+    `near`: candidates of the anchors. gate2, gate3: chi-square values of 2 (a pairing) and 3 (a pose by the prior) dof.
+    """
+    W, gain, worth, sigma, cell, apart, pairs, tolerance = flights.ready(
+        s.q, s.R, s.D, s.base, s.odds, near.counts, budget.anchors
+    )
+    grid = flights.fill_grid(s.p, cell)
+    before: Array = np.asarray(np.linalg.inv(s.Xi), np.float64)
+    poses, scores, tried, used = flights.explore(
+        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, before, gate3, cell, *grid, apart,
+        budget.basins, budget.poses, BEHIND,
+    )  # fmt: skip
+    poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
+    reach = 1.5 * np.sqrt(gate2 * _widest(s))
+    seen = (reach, s.p, cell, *grid, NO_LABELS if s.allowed is None else s.allowed)
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+    ends, Ms, matches, values = motion.descend(poses, *args, before, reach, *seen[2:], gate2, apart, 3)
+    found = []
+    for k in _leaders(matches, values, budget.reach):
+        listed = Window(*motion.local_candidates(poses[k], s.q, *seen))
+        basin = _looked_over(s, ends[k], Ms[k], matches[k], values[k], listed, gate2)
+        found.append(untangled(s, basin, before) if len(found) < POLISHED else basin)
+    return found, {"poses": tried, "anchors": used, "proof": "truncated"}
+
+
+def _widest(s: Rigid) -> Array:
+    """Largest variance (m,), m2, of each observation with three times the mean own covariance of a landmark."""
+    V = s.R + 3.0 * s.D.mean(0)
+    half = 0.5 * (V[:, 0, 0] + V[:, 1, 1])
+    widest: Array = half + np.sqrt((half - V[:, 1, 1]) ** 2 + V[:, 0, 1] ** 2)
+    return widest
+
+
+def _leaders(matches: Ids, values: Array, reach: float) -> list[int]:
+    """Rows within `reach` nats of the best, best first, each hypothesis once."""
+    kept: list[int] = []
+    for k in np.argsort(-values, kind="stable"):
+        if values[k] < values.max() - reach:
+            break
+        if not any(np.array_equal(matches[k], matches[r]) for r in kept):
+            kept.append(int(k))
+    return kept
+
+
+def _looked_over(s: Rigid, pose: Array, M: Array, match: Ids, value: float, near: Window, gate2: float) -> Basin:
+    """A hypothesis with the gains of all its window's pairings; `value` and those by place, looks come to both."""
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+    gains = motion.left_out_gains(pose, M, match, *args, near.start, near.columns, gate2)
+    return Basin(match, value + s.of_match(match), gains + s.of_looks(near), near, pose, M)
+
+
+def at_pose(s: Rigid, basin: Basin, gate2: float) -> Basin:
+    """A hypothesis from the full covariance, with the pose that it implies."""
+    near, args = basin.window, (s.q, s.R, s.p, s.D, s.base, s.odds)
+    pose, M, value, gains = motion.place(basin.match, *args, np.linalg.inv(s.Xi), near.start, near.columns, gate2)
+    return Basin(basin.match, value + s.of_match(basin.match), gains + s.of_looks(near), near, pose, M)
+
+
+def untangled(s: Rigid, basin: Basin, before: Array) -> Basin:
+    """The basin with the best assignment at its pose, and the pose of that, until it stays: greedy leaves pairs swapped.
+
+    before (3, 3): inverse covariance of the motion.
+    """
+    assert basin.pose is not None
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
+    near, pose, best = basin.window, basin.pose, basin
+    for _ in range(3):
+        gains = motion.pose_gains(pose, np.zeros((3, 3)), *args, near.start, near.columns, np.inf) + s.of_looks(near)
+        if motion.uncontested(gains, near.start, near.columns, best.match):
+            break
+        match = assigned(gains, near)
+        if np.array_equal(match, best.match):
+            break
+        pose, M, value = motion.fit(pose, match, *args, before, 2)
+        if value + s.of_match(match) <= best.value:
+            break
+        best = _looked_over(s, pose, M, match, value, near, np.inf)
+    return best
+
+
+def assigned(gains: Array, near: Window) -> Ids:
+    """The one-to-one match of greatest total gain over the listed pairings; a pairing without gain is left out."""
+    m = len(near.counts)
+    names, place = np.unique(near.columns, return_inverse=True)
+    table = np.zeros((m, len(names)))
+    table[np.repeat(np.arange(m), near.counts), place] = np.maximum(gains, 0.0)
+    rows, picked = linear_sum_assignment(table, maximize=True)
+    match = np.full(m, -1, np.int64)
+    good = table[rows, picked] > 0.0
+    match[rows[good]] = names[picked[good]]
+    return match
+
+
+def distinct(found: list[Basin], reach: float) -> list[Basin]:
+    """Basins within `reach` nats of the best, best first, each hypothesis once."""
+    ranked = sorted(found, key=lambda b: -b.value)
+    kept: list[Basin] = []
+    for basin in ranked:
+        if basin.value < ranked[0].value - reach:
+            break
+        if not any(np.array_equal(basin.match, other.match) for other in kept):
+            kept.append(basin)
+    return kept
