@@ -48,15 +48,18 @@ def _hang(number: int, frame: Any) -> None:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Memory bound, hangs ended (in Python code by an alarm, in others by the end of the process), no warnings."""
-    signal.signal(signal.SIGALRM, _hang)
+    """Memory bound, and warnings are errors."""
     with memory_bound(LIMIT_MIB), warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
 
 
 def run(name: str, target: Target, cases: range, seed: int, place: Path) -> dict[str, float]:
-    """Such cases of one loader: how many, how many of them were still read, the slowest in s, all together in s."""
+    """Such cases of one loader: how many, how many of them were still read, the slowest in s, all together in s.
+
+    Hangs are ended: in Python code by an alarm, in other code by the end of the process.
+    """
+    signal.signal(signal.SIGALRM, _hang)
     read, slowest, begun = 0, 0.0, time.monotonic()
     for case in cases:
         folder = place / "case"
