@@ -1,9 +1,10 @@
 """Every log with every associator: the table of docs/logs.md.
 
-    python benchmarks/logs_table.py [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--write FILE.md]
+    python benchmarks/logs_table.py --keep rows.json --write docs/logs.md
+        [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--limit SECONDS]
 
-Rows already in ``--keep FILE.json`` are not run again, so that an interrupted table goes on where it stopped. With
---write the table replaces what stands between the marks in the document. ATE after rigid alignment, without scale;
+Rows that ``--keep FILE.json`` has from the same code are not run again, so that an interrupted table goes on where it
+stopped; each row is kept as soon as it is there, and ended after --limit s. With --write the table replaces what stands between the marks in the document. ATE after rigid alignment, without scale;
 "GPS" is the RMS distance of the estimated laser point to the nearest GPS fix in time (0.1 s), aligned as well; the
 real-time factor is the log's duration over the CPU time of the run.
 """
