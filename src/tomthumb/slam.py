@@ -178,7 +178,8 @@ class Slam:
         self.branches = self._apart([c[0] for c in children])
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
-            self.associator.learn(self.branches[0].ids, self.t)  # from the best branch alone: one scan, one lesson
+            best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
+            self.associator.learn(best.ids[~np.isin(best.ids, list(best.crumbs))], self.t)
         return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
