@@ -35,6 +35,7 @@ from fuzz_targets import Target, attempt, survives, targets
 from tomthumb.bench.execute import memory_bound
 
 LIMIT_S, LIMIT_MIB = 20, 1024
+BEGIN, END = "<!-- fuzz: benchmarks/fuzz_loaders.py -->", "<!-- end of fuzz -->"
 MEMORY_PLACE = "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
@@ -105,8 +106,26 @@ def all_in_turn(chosen: dict[str, Target], options: argparse.Namespace) -> None:
             kept[loader] = add(kept.get(loader, {}), run(loader, chosen[loader], cases, options.seed, Path(name)))
             if options.keep:
                 options.keep.write_text(json.dumps(kept, indent=1))
-    for loader, row in kept.items():
-        print(loader, json.dumps({key: round(value, 2) for key, value in row.items()}), flush=True)
+    print("\n".join(table(kept)), flush=True)
+    if options.write:
+        write(options.write, kept)
+
+
+def table(kept: dict[str, Any]) -> list[str]:
+    """The tally as the lines of a Markdown table."""
+    head = ["| loader | cases | still read | slowest s | ms a case | process MiB |", "|---|---|---|---|---|---|"]
+    return head + [
+        f"| {name} | {row['cases']} | {row['read']} | {row['slowest_s']:.1f} | "
+        f"{1e3 * row['seconds'] / row['cases']:.1f} | {row['peak_mib']} |"
+        for name, row in kept.items()
+    ]
+
+
+def write(document: Path, kept: dict[str, Any]) -> None:
+    """Put the table between the marks of a document."""
+    before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    document.write_text("\n".join([before + BEGIN, "", *table(kept), "", END]) + after, encoding="utf-8")
 
 
 def guided(name: str, target: Target, seconds: int) -> None:
@@ -158,6 +177,7 @@ def main() -> None:
     parser.add_argument("--loader", nargs="*")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("TOMTHUMB_DATA", "../shared/data")))
     parser.add_argument("--keep", type=Path)
+    parser.add_argument("--write", type=Path, help="put the table between the marks of this document")
     parser.add_argument("--atheris", type=int, metavar="SECONDS")
     options = parser.parse_args()
     data = options.data if options.data.is_dir() else None
