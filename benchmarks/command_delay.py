@@ -1,4 +1,4 @@
-"""MRCLAM's commands against Vicon: after which delay they act, and how much of a commanded turn is made.
+"""MRCLAM's commands against Vicon: after which delay they act, how much of a commanded turn is made, the worst slips.
 
 python benchmarks/command_delay.py [--data FOLDER]      # the folder of the set, with RobotN_*.dat or .dat.xz
 """
@@ -39,6 +39,17 @@ def rms_deg(error: Array, span: int) -> float:
     return float(np.degrees(np.sqrt(np.mean((error[span:] - error[:-span]) ** 2))))
 
 
+def slips(error: Array, span: int = 10, count: int = 3) -> str:
+    """The largest errors of the turn over `span` s, at least 20 s apart: when (s from the start), how much (deg)."""
+    made = np.degrees(error[span:] - error[:-span])
+    told = []
+    for _ in range(count):
+        k = int(np.argmax(np.abs(made)))
+        told.append(f"{made[k]:+.0f} deg at {k + span // 2 + 5} s")
+        made[max(0, k - 20) : k + 20] = 0.0
+    return ", ".join(told)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(os.environ.get("TOMTHUMB_DATA", "../shared/data")) / "utias_mrclam" / "MRCLAM_Dataset7"
@@ -52,6 +63,8 @@ def main() -> None:
         robots = [heading_error(folder, robot, 0.25, turn) for robot in range(1, 6)]
         told = [f"{span} s " + "/".join(f"{rms_deg(error, span):.1f}" for error in robots) for span in SPANS]
         print(f"delay 0.25 s, turn {turn}: off by (robots 1 to 5, deg) {', '.join(told)}")
+    for robot in range(1, 6):
+        print(f"robot {robot}: largest slips over 10 s: {slips(heading_error(folder, robot, 0.25, 0.95))}")
 
 
 if __name__ == "__main__":
