@@ -4,9 +4,10 @@
         [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--limit SECONDS]
 
 Rows that ``--keep FILE.json`` has from the same code are not run again, so that an interrupted table goes on where it
-stopped; each row is kept as soon as it is there, and ended after --limit s. With --write the table replaces what stands between the marks in the document. ATE after rigid alignment, without scale;
-"GPS" is the RMS distance of the estimated laser point to the nearest GPS fix in time (0.1 s), aligned as well; the
-real-time factor is the log's duration over the CPU time of the run.
+stopped; each row is kept as soon as it is there, and ended after --limit s. With --write the table replaces what stands
+between the marks in the document. ATE after rigid alignment, without scale; "GPS" is the RMS distance of the estimated
+laser point to the nearest GPS fix in time (0.1 s), aligned as well; the real-time factor is the log's duration over the
+CPU time of the run.
 """
 
 from __future__ import annotations
