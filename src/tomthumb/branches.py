@@ -13,16 +13,25 @@ from tomthumb.types import Array, Ids, Observations
 
 @dataclass(slots=True)
 class Branch:
-    """One history of associations: its belief, what its landmarks have lived through, and how likely it is."""
+    """One history of associations: its belief, what its landmarks have lived through, and how likely it is.
+
+    `log_weight` is relative to the best branch, `evidence` the sum of all its hypotheses' log weights.
+    """
 
     belief: Any
     ledger: Ledger
     crumbs: set[int] = field(default_factory=set)
     log_weight: float = 0.0
+    evidence: float = 0.0
     history: tuple[Any, Ids, Array] | None = None  # (earlier history, ids, pose): shared between branches
     ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
     paired: Ids = field(default_factory=lambda: np.empty(0, np.int64))
     events: tuple[Any, str, int, int, int] | None = None  # (earlier events, kind, id, other id, step)
+
+    def weigh(self, log_weight: float) -> None:
+        """One more scan explained."""
+        self.log_weight += log_weight
+        self.evidence += log_weight
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ is right among itself all the same, and fits into the old map at one place only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,15 @@ SLACK = 1.5  # how much less exact the recent map is in itself than one observat
 class Loops:
     """every: scans between two looks. stars: youngest landmarks that make the constellation. window: scans in which
     they were born. drift: m per m of path, rad per m: what odometry may have gathered. poses: of the trail, from which
-    old landmarks would have been seen."""
+    old landmarks would have been seen. drifting: look without a doubt too.
+    """
 
     every: int = 5
     stars: int = 25
     window: int = 60
     drift: tuple[float, float] = (0.05, 0.005)
     poses: int = 12
+    drifting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ def closure(
     found = fits(q, np.tile((SLACK * noise) ** 2 * np.eye(2), (len(q), 1, 1)), away.old.landmarks)
     if doubt is None:
         found = [fit for fit in found if _drifted(fit, branch, whole, away, loops)]
+        king = replace(king, rival=1.0)  # the drift has ruled out the other places already
     chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
     if chosen is None:
         return None

@@ -17,7 +17,7 @@ from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.protocols import Estimator, Rng
 from tomthumb.types import Array, Estimate, Ids, Mask
-from tomthumb.watch import Watch
+from tomthumb.watch import Consistency, Watch
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -30,12 +30,24 @@ class Court:
     """The king, where there is one, the watch, and what was left behind when the family fled."""
 
     king: King | None
-    loops: Loops | None = None
+    loops: Loops = field(default_factory=Loops)
     watch: Watch = field(default_factory=Watch)
     exile: Exile | None = None
+    consistency: Consistency = field(default_factory=Consistency)
+
+    @property
+    def well(self) -> bool:
+        """No doubt of the watch, and the filter's surprise is what it should be."""
+        return not self.watch.doubtful and self.consistency.verdict != "surprised"
 
     def attend(self, slam: Slam, scan: Scan) -> dict[str, Any]:
-        """After each scan: flee, seek the way home, or look for a closed loop."""
+        """After each scan: is all well? Flee, seek the way home, or look for a closed loop, where there is a king."""
+        stats = slam.estimator.stats(slam.branches[0].belief)
+        self.consistency.record(float(stats.get("nis", 0.0)), int(stats.get("dof", 0)))
+        told = {} if self.consistency.verdict == "fine" else {"watch": self.consistency.verdict}
+        return told | self._follow(slam, scan)
+
+    def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:
             return {}
         if self.exile is None and self.watch.lost:
@@ -53,9 +65,13 @@ class Court:
         exist = np.array([life.exist for life in lives])
         self.watch.look((chance * exist)[due], seen[due], count - int((seen & old).sum()), scan)
 
-    def lose_the_way(self, slam: Slam, branch: Branch) -> None:
-        """The pose of a branch is not believed any more: its map is put aside, a new one begun."""
+    def lose_the_way(self, slam: Slam, branch: Branch, believed: bool = True) -> None:
+        """The pose of a branch is not believed any more: its map is put aside, a new one begun.
+
+        `believed`: where the robot thinks it is may still be worth something.
+        """
         self.exile, fresh = flee(slam.estimator, branch, slam.index, slam.rng_estimator)
+        self.exile.believed = believed
         slam.branches, self.watch = [fresh], Watch()
 
     def whole(self, here: Estimate) -> Estimate:
@@ -75,12 +91,12 @@ class Court:
         return {"king": "home", "votes": way.fit.votes}
 
     def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
-        if self.loops is None or slam.scan % self.loops.every or not len(scan):
+        doubt = self.watch.since if self.watch.doubtful else None
+        if slam.scan % self.loops.every or not len(scan) or (doubt is None and not self.loops.drifting):
             return {}
         best = slam.branches[0]
         G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
         noise = float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean()))
-        doubt = self.watch.since if self.watch.doubtful else None
         found = closure(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, doubt, noise)
         if found is None:
             return {}

@@ -17,7 +17,15 @@ from tomthumb.protocols import Learner
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
-LOOP = ("width", "faithful", "frozen", "king", "loops")  # settings of the loop, beside the life cycle's
+LOOP = (
+    "width",
+    "faithful",
+    "frozen",
+    "king",
+    "loops",
+    "lost",
+    "revision",
+)  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
 
 
@@ -77,15 +85,29 @@ def prepare(
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
         policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
-        king=King() if chosen["slam"].get("king") and associator != "oracle" else None,
+        king=_king(chosen["slam"], associator == "oracle"),
     )  # fmt: skip
-    if slam.court.king is not None and chosen["slam"].get("loops"):
-        slam.court.loops = Loops()
+    slam.court.loops = Loops(drifting=bool(chosen["slam"].get("loops")))
+    slam.revision.window = int(chosen["slam"].get("revision", 0))
     if start_map is not None:
         names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
         if lessons is not None and isinstance(slam.associator, Learner):
             slam.associator.remind(lessons.renamed(names))
+    if chosen["slam"].get("lost"):
+        _lost(slam, start_map)
     return slam
+
+
+def _king(values: Mapping[str, Any], oracle: bool) -> King | None:
+    """The oracle needs no king: it is never lost. Who starts lost needs one."""
+    return King() if (values.get("king") or values.get("lost")) and not oracle else None
+
+
+def _lost(slam: Slam, start_map: Estimate | None) -> None:
+    """Somewhere in a map, nobody knows where."""
+    if start_map is None or slam.court.king is None:
+        raise TomThumbError("slam.lost=true needs a map to be lost in (--map), and an associator other than the oracle")
+    slam.court.lose_the_way(slam, slam.branches[0], believed=False)
 
 
 def _start_in(slam: Slam, scenario: Scenario, start_map: Estimate, oracle: bool, frozen: bool) -> dict[int, int]:

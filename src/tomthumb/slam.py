@@ -24,6 +24,7 @@ from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
 from tomthumb.types import (
     Array,
@@ -83,7 +84,7 @@ class Slam:
         self.surprise = Surprise()
         self.moved = math.inf  # m since the last scan: how much of it is news, for sensors that repeat their errors
         self.failure: str | None = None
-        self.court = Court(king)
+        self.court, self.revision = Court(king), Revision()
 
     def stream(self, steps: Iterable[Step]) -> Iterator[StepRecord]:
         """Every step's record; ends early, with `failure` set, when the filter diverges."""
@@ -102,6 +103,7 @@ class Slam:
         begin = perf_counter()
         seen = observations or EMPTY
         check_step(self.index, t, self.t, control, seen)
+        self.revision.before(self, Moment(t, control, observations), self.court.well)
         for branch in self.branches:
             self._predict(branch, t, control)
         self.t = t
@@ -112,6 +114,7 @@ class Slam:
         record = self._record(t, serials, (begin, predicted, spent), infos)
         self.index += 1
         self.scan += observations is not None
+        self.revision.after(self)
         return record
 
     def estimate(self) -> Estimate:
@@ -205,14 +208,14 @@ class Slam:
         every = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
         found = [self._ask(p, scan) for p in every]
         if len(every) > 1 or len(found[0]) == 1:
-            branch.log_weight += found[0][0].log_weight
+            branch.weigh(found[0][0].log_weight)
             return [(branch, every, [f[0].match for f in found], _spent(found[0][0]))]
         out = []
         for k, hypothesis in enumerate(found[0][: self.width]):
             child = branch if k == 0 else self._fork(branch)
             out.append((child, every, [hypothesis.match], _spent(hypothesis), hypothesis.log_weight))
         for child, *_, weight in out:
-            child.log_weight += weight
+            child.weigh(weight)
         return [item[:4] for item in out]
 
     def _expected(self, predictions: Predictions, ledger: Ledger) -> Predictions:
@@ -375,7 +378,7 @@ class Slam:
         stone = (best.paired >= 0) & ~np.isin(best.paired, list(best.crumbs))
         return StepRecord(
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
-            float(stats["nis"]), int(stats["dof"]), len(best.ledger), info,
+            float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
         )  # fmt: skip
 
 

@@ -8,15 +8,18 @@ since the first doubt proves nothing: a wrong pose confirms its own new landmark
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtr
 
 from tomthumb.types import Array, Mask
 
 BY_CHANCE = 0.3  # how often, when lost, an expected landmark finds a partner, relative to when not
 SURE = 0.95  # no landmark is seen more surely than that
 LEAK = 0.95  # per scan: doubts that nothing feeds are forgotten
+SCANS, TAIL = 10, 1e-3  # of the windowed test of NIS
 DOUBT = 6.0  # nats: worth a look whether this is a place that is known
 ALARM = 12.0  # nats: one false alarm in 10^5 independent looks
 
@@ -53,3 +56,25 @@ class Watch:
     def lost(self) -> bool:
         """The family should flee."""
         return self.level > ALARM
+
+
+@dataclass(slots=True)
+class Consistency:
+    """NIS of the last scans against its chi-square distribution, two-sided at 99.9 %.
+
+    Too much says that a pairing or the model is wrong, too little that the noise is said too large.
+    """
+
+    last: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=SCANS))
+
+    def record(self, nis: float, dof: int) -> None:
+        """One scan's NIS; a scan without pairings says nothing."""
+        if dof:
+            self.last.append((nis, dof))
+
+    @property
+    def verdict(self) -> str:
+        """fine, surprised (NIS too large) or timid (too small)."""
+        total, dof = sum(nis for nis, _ in self.last), sum(d for _, d in self.last)
+        p = float(chdtr(dof, total)) if dof else 0.5
+        return "surprised" if p > 1.0 - 0.5 * TAIL else "timid" if p < 0.5 * TAIL else "fine"
