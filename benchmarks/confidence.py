@@ -211,8 +211,8 @@ def draw(found: Mapping[str, Decisions], file: Path) -> None:
     for name, d in found.items():
         rows = [(c, r) for n, c, r, *_ in reliability(d) if n >= 20]
         left.plot(*zip(*rows, strict=True), marker="o", markersize=3, linewidth=1, label=name)
-        precision, recall = zip(*(kept(d, least) for least in LEAST), strict=True)
-        right.plot(100 * np.array(recall), 100 * np.array(precision), marker="o", markersize=3, linewidth=1)
+        pairs = [(100 * recall, 100 * precision) for precision, recall in (kept(d, v) for v in LEAST) if recall > 0.01]
+        right.plot(*zip(*pairs, strict=True), marker="o", markersize=3, linewidth=1)
     left.set(xlabel="confidence", ylabel="share right")
     right.set(xlabel="recall, %", ylabel="precision, %")
     left.legend(fontsize=6.5)
