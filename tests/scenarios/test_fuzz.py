@@ -155,6 +155,17 @@ def test_a_matlab_file_of_empty_elements_is_named(tmp_path, element):
         load(f"golden:{tmp_path}/a.mat")
 
 
+def test_a_matlab_text_of_fractions_is_named(tmp_path):
+    """Text is of integers; NaN as a letter would be a warning of numpy's."""
+    parts = (
+        struct.pack("<IIII", 6, 8, 4, 0) + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 1) + b"o" + bytes(7)
+    )
+    parts += struct.pack("<IId", 9, 8, float("nan"))
+    (tmp_path / "a.mat").write_bytes(b" " * 124 + b"\x00\x01IM" + struct.pack("<II", 14, len(parts)) + parts)
+    with pytest.raises(BrokenFile, match="text made of fractions"):
+        load(f"golden:{tmp_path}/a.mat")
+
+
 def test_a_matlab_file_that_unfolds_is_refused(tmp_path):
     import zlib
 

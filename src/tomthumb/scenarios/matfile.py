@@ -134,6 +134,8 @@ def _numbers(reader: _Reader, parts: list[tuple[int, memoryview]], shape: tuple[
         raise ValueError(f"numbers of type {code}, which is not supported")
     values = np.frombuffer(content, reader.order + TYPES[code])
     if kind == CHAR:
+        if values.dtype.kind == "f":
+            raise ValueError("text made of fractions")
         return "".join(map(chr, values.astype(np.int64) & 0xFFFF))
     if len(values) != math.prod(shape):
         raise ValueError(f"{len(values)} numbers for a matrix of shape {shape}")

@@ -22,9 +22,7 @@ STD = (0.15, math.radians(1.2))
 # The controls are commands, not measurements: with DELAY and TURN heading is off by 8 to 13 deg (rms) after 20 s, by
 # robot. As noise of each command of 0.012 s the second std gives the mean of that, 10 deg.
 CONTROL_STD = (0.1, 0.18)
-DELAY = (
-    0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
-)
+DELAY = 0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
 TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
 MAX_DELAY, MAX_TURN = 10.0, 10.0
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
