@@ -77,10 +77,11 @@ class TomThumb:
     recent: float = 3.0
     clip: float = 2.0
     size: int = 1000
-    lessons: LogMemory = field(init=False, repr=False)
+    lessons: LogMemory = field(default=None, repr=False)  # type: ignore[assignment]  # made below; a copy takes it along
 
     def __post_init__(self) -> None:
-        self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
+        if self.lessons is None:
+            self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
