@@ -1,6 +1,6 @@
 """How near STT is to the best that anybody can decide: the exact posterior of every pairing, on small scans.
 
-    python benchmarks/bayes_limit.py --count 200 --seed 11
+    python benchmarks/bayes_limit.py --count 200 --seed 13
 
 All hypotheses within `--slack` nats of the best are listed by branch and bound (`map` with a large pool), with the true
 density of false observations and the true chance of detection. Each weighs by its posterior, the sums over them are the
@@ -72,7 +72,7 @@ def _points(difference: Array) -> str:
 def main() -> None:
     cli = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     cli.add_argument("--count", type=int, default=200, help="problems in each cell")
-    cli.add_argument("--seed", type=int, default=11)
+    cli.add_argument("--seed", type=int, default=13)
     cli.add_argument("--slack", type=float, default=10.0, help="nats")
     cli.add_argument("--cells", default=",".join(f"{kind}:{size}" for kind, size in CELLS))
     args = cli.parse_args()

@@ -13,7 +13,7 @@ from tomthumb.kernels import flights, motion
 from tomthumb.types import Array, Ids, Mask
 
 POLISHED = 4  # basins, best first, whose assignment is made optimal
-BEHIND = 15.0  # nats of the vote: a pose further behind the best is not refined
+BEHIND = 15.0  # nats of the vote: a pose further behind the best is not refined, at twice that not even counted out
 NO_LABELS: Mask = np.empty((0, 0), np.bool_)
 
 
@@ -53,7 +53,7 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
     grid = flights.fill_grid(s.p, cell)
     poses, scores, tried, used = flights.explore(
         s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, cell, *grid, apart,
-        budget.basins, budget.poses, BEHIND,
+        budget.basins, budget.poses, 2.0 * BEHIND,
     )  # fmt: skip
     poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
     reach = 1.5 * np.sqrt(gate2 * _widest(s))
