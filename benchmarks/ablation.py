@@ -128,12 +128,14 @@ def verdicts(rows: Sequence[Row], labels: Sequence[str]) -> str:
     found = differences(rows, "match_rate", WHOLE)
     lines = []
     for label in labels:
-        told = {
-            word: [c for (c, m), d in found.items() if m == label and d.verdict == word] for word in ("better", "worse")
-        }
-        if label != WHOLE:
-            words = [f"{word} in {', '.join(cells)}" for word, cells in told.items() if cells]
-            lines.append(f"- {label}: {'; '.join(words) or 'makes no difference that these seeds could tell'}.")
+        if label == WHOLE:
+            continue
+        mine = {cell: d for (cell, name), d in found.items() if name == label}
+        told = {word: [cell for cell, d in mine.items() if d.verdict == word] for word in ("better", "worse")}
+        words = [f"{word} in {', '.join(cells)}" for word, cells in told.items() if cells]
+        if mine and all(d.ties == d.n for d in mine.values()):
+            words = ["the same in every single run"]
+        lines.append(f"- {label}: {'; '.join(words) or 'no difference that these seeds could tell'}.")
     return "\n".join(lines)
 
 

@@ -1,6 +1,7 @@
 """How much each number matters: `plans/sensitivity.toml`, one plot a parameter, match rate and time over its range.
 
     python benchmarks/sensitivity.py --out bench/sensitivity [--seeds 7000..7019] [--workers 2] [--figures docs/figures]
+        [--write docs/parts.md]
     python benchmarks/sensitivity.py --only nodes slam.hits
 
 Points are means over the seeds, bars 95 % bootstrap intervals by run; the dashed line is the default. Rows are kept in
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from paired import Row, run
+from paired import Row, markdown, run, write
 
 from tomthumb.bench.compare import values
 from tomthumb.stats import mean_interval
@@ -104,11 +105,27 @@ def draw(parameter: Mapping[str, Any], found: Curve, file: Path) -> None:
     pyplot.close(figure)
 
 
-def line(parameter: Mapping[str, Any], found: Curve) -> str:
-    """How far the match rate moves over the range, in the cell where it moves most."""
-    cell, spread = max(((c, 100 * (max(v[0]) - min(v[0]))) for c, v in found.items()), key=lambda item: item[1])
-    best = parameter["values"][int(np.argmax(found[cell][0]))]
-    return f"{name_of(parameter)}: {spread:.2f} points ({cell}, best at {label(best)}, default {label(parameter['default'])})"
+def line(parameter: Mapping[str, Any], found: Curve) -> list[str]:
+    """How far the match rate and the time move over the range, in the cells where they move most; the best value there."""
+    name, cell = name_of(parameter), max(found, key=lambda c: max(found[c][0]) - min(found[c][0]))
+    rates = found[cell][0]
+    best = parameter["values"][int(np.argmax(rates))]
+    times = max(max(spent) / max(min(spent), 1e-9) for *_, spent in found.values())
+    values = ", ".join(label(v) for v in parameter["values"])
+    return [
+        f"[`{name}`](figures/sensitivity-{name}.svg)", values, label(parameter["default"]),
+        f"{100 * (max(rates) - min(rates)):.2f} ({cell})", label(best), f"{times:.1f}",
+    ]  # fmt: skip
+
+
+HEADS = [
+    "parameter",
+    "values",
+    "default",
+    "range of the match rate, points (world)",
+    "best there",
+    "range of the time, times",
+]
 
 
 def main() -> None:
@@ -118,18 +135,22 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--only", nargs="*", help="names of parameters")
     parser.add_argument("--figures", type=Path)
+    parser.add_argument("--write", type=Path)
     options = parser.parse_args()
     plan = tomllib.loads((HOME / "plans" / "sensitivity.toml").read_text("utf-8"))
     plan |= {"seeds": options.seeds} if options.seeds else {}
+    folder, lines = options.figures or options.out, []
+    folder.mkdir(parents=True, exist_ok=True)
     for parameter in plan["parameter"]:
         name = name_of(parameter)
         if options.only is not None and name not in options.only:
             continue
         found = curves(run(grid(plan, parameter), HOME, options.out / name, options.workers), parameter)
-        print(line(parameter, found), flush=True)
-        folder = options.figures or options.out
-        folder.mkdir(parents=True, exist_ok=True)
+        lines.append(line(parameter, found))
+        print(" | ".join(lines[-1]), flush=True)
         draw(parameter, found, folder / f"sensitivity-{name}.svg")
+    if options.write:
+        write(options.write, "sensitivity", markdown(HEADS, lines))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 import tomthumb
 from tomthumb import registry
 from tomthumb.appearance import Crowd, Looks, Moments, Weight, class_ratio, weigh, with_looks
+from tomthumb.associators.oracle import Oracle
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels.gates import innovations
 from tomthumb.lifecycle import Life, copy_ledger, record_looks
@@ -178,6 +181,14 @@ def test_a_ratio_opens_the_gate_for_those_who_weigh_it():
     assert np.isinf(problem.d2[:, ::2]).all()
     assert np.isfinite(problem.weighed_d2).all()
     assert np.isinf(twins(False, True).weighed_d2[:, ::2]).all()
+
+
+def test_the_teacher_knows_better_than_any_gate():
+    problem = twins(False, True)
+    truth = np.array([7, 8, 9, 10, -1, -1, -1, -1])
+    founded = replace(problem.predictions, ids=np.array([0, 4, 1, 5, 2, 6, 3, 7]))
+    found = Oracle(truth).associate(replace(problem, predictions=founded), np.random.default_rng(0))[0]
+    assert found.match.tolist() == [0, 2, 4, 6]
 
 
 def rate(associator, world, **slam):

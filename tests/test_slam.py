@@ -12,6 +12,7 @@ from tomthumb.errors import Diverged, TomThumbError
 from tomthumb.estimators.ekf import EKF
 from tomthumb.models.motion import OdometryIncrement, Velocity
 from tomthumb.models.sensor import Cartesian, RangeBearing
+from tomthumb.runner import prepare
 from tomthumb.slam import Slam
 from tomthumb.types import Control, Observations, Prior, Truth
 
@@ -149,3 +150,14 @@ def test_a_sensor_that_repeats_its_errors_adds_little_at_rest():
         return np.trace(estimate.covs[0])
 
     assert spread((3.0, 3.0)) > 1.05 * spread((0.0, 0.0))
+
+
+def test_the_record_tells_how_sure_each_decision_was():
+    world = tomthumb.load("cloister", seed=1)
+    slam = prepare(world, associator="stt")
+    for step in world.steps[:30]:
+        record = slam.step(step.t, step.control, step.observations)
+    sure = record.info["confidence"]
+    assert sure.shape == record.ids.shape
+    assert ((sure > 0.5) & (sure <= 1.0)).all()
+    assert "confidence" not in prepare(world, associator="nn").step(0.0, None, world.steps[0].observations).info

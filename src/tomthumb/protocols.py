@@ -96,7 +96,7 @@ class Associator(Protocol):
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]: ...
 
     def learn(self, ids: Ids, t: float) -> None:
-        """The identities accepted in a step; most associators do nothing with them."""
+        """The confirmed landmarks that were seen in a step; most associators do nothing with them."""
         ...
 
 

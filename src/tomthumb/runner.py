@@ -133,11 +133,14 @@ def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **give
 
 def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
     """The life cycle and the number of branches from `slam.` settings."""
+    from tomthumb import registry
+
     known = [f.name for f in fields(LifeCycle)] + [*LOOP]
     for key in values:
         if key not in known:
             raise UnknownName("setting of slam", key, known)
-    rest = {k: v for k, v in values.items() if k not in LOOP}
+    takes = registry.parameters_of(LifeCycle)
+    rest = {k: registry.checked(f"slam.{k}", v, takes[k]) for k, v in values.items() if k not in LOOP}
     policy = LifeCycle(**rest)
     if values.get("frozen"):
         from tomthumb.known_map import frozen_policy

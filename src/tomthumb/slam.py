@@ -209,11 +209,11 @@ class Slam:
         found = [self._ask(p, scan) for p in every]
         if len(every) > 1 or len(found[0]) == 1:
             branch.weigh(found[0][0].log_weight)
-            return [(branch, every, [f[0].match for f in found], dict(found[0][0].info))]
+            return [(branch, every, [f[0].match for f in found], _spent(found[0][0]))]
         out = []
         for k, hypothesis in enumerate(found[0][: self.width]):
             child = branch if k == 0 else self._fork(branch)
-            out.append((child, every, [hypothesis.match], dict(hypothesis.info), hypothesis.log_weight))
+            out.append((child, every, [hypothesis.match], _spent(hypothesis), hypothesis.log_weight))
         for child, *_, weight in out:
             child.weigh(weight)
         return [item[:4] for item in out]
@@ -380,6 +380,11 @@ class Slam:
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
         )  # fmt: skip
+
+
+def _spent(answer: Association) -> dict[str, Any]:
+    """What the record of a step tells of an answer: what was spent and proven, and how sure each decision is."""
+    return dict(answer.info) if answer.confidence is None else {**answer.info, "confidence": answer.confidence}
 
 
 def _wrapped(sensor: Sensor) -> Mask:

@@ -270,7 +270,8 @@ class Lessons:
 class StepRecord:
     """What one step gave out. `ids (m,)`: the landmark of each observation, its own serial if it founded one, else -1.
 
-    `paired (m,)` is True where the landmark was known before. `nis` and its `dof` cover the pairings with stones.
+    `paired (m,)` is True where the landmark was known before. `nis` and its `dof` cover the pairings with stones. `info`
+    is the association's, with "confidence" (m,) where the associator knows it.
     """
 
     index: int

@@ -110,6 +110,8 @@ WRONG = [
     (["run", "cloister", "-a", "jcbb", "--set", "associator.gat=1"], "did you mean 'gate'"),
     (["run", "cloister", "-a", "jcbb", "--set", "associator.gate=wide"], "associator.gate must be a number"),
     (["run", "cloister", "--set", "slam.widht=2"], "did you mean 'width'"),
+    (["run", "cloister", "--set", "slam.hits=x"], "slam.hits must be a whole number"),
+    (["run", "cloister", "--set", "slam.signature=perhaps"], "valid: off, gate, ratio"),
     (["run", "cloister", "--config", "nowhere.toml"], "nowhere.toml"),
     (["run", "cloister", "--map", "nowhere.csv"], "nowhere.csv"),
     (["run", "cloister", "-a", "nn", "--out", "/dev/null/x"], "cannot be written"),

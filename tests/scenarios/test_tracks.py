@@ -98,3 +98,17 @@ def test_an_open_track_has_one_lap(tmp_path):
     (tmp_path / "a.yaml").write_text(pacsim().replace("Connected: true", "Connected: false"))
     with pytest.raises(TomThumbError, match="one lap"):
         load(f"track:{tmp_path}/a.yaml?laps=2")
+
+
+def test_some_colours_are_read_wrongly_and_nothing_else_changes(tmp_path):
+    file = tmp_path / "track.yaml"
+    file.write_text(pacsim())
+    plain, confused = (load(f"track:{file}", seed=2, laps=2, confusion=c) for c in (0.0, 0.4))
+    wrong, count = 0, 0
+    for a, b in zip(plain.steps, confused.steps, strict=True):
+        np.testing.assert_array_equal(a.observations.z, b.observations.z)
+        wrong += int((a.observations.labels != b.observations.labels).sum())
+        count += len(a.truth.ids)
+    assert wrong / count == pytest.approx(0.4 * 3 / 4, abs=0.05)  # a colour drawn at random is right one time in four
+    with pytest.raises(TomThumbError, match="confusion=2"):
+        load(f"track:{file}", confusion=2.0)

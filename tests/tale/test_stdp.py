@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tomthumb.associators.tom_thumb import TomThumb
 from tomthumb.errors import TomThumbError
 from tomthumb.tale.stdp import LogMemory, PairMemory, Plasticity, fixed_point, log_rule
 
@@ -246,3 +248,11 @@ def test_of_too_many_lessons_the_best_known_stay() -> None:
     few = LogMemory(size=5)
     few.remind(many.recall(np.arange(20)))
     assert few.recall(np.arange(20)).ids.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_another_associator_with_other_settings_keeps_the_lessons() -> None:
+    one = TomThumb(memory=True, size=50)
+    one.learn(np.array([1, 2, 3]), 0.0)
+    other = replace(one, brothers=8)
+    assert set(other.recall(np.arange(5)).ids.tolist()) == {1, 2, 3}
+    assert TomThumb(memory=True).lessons is not TomThumb(memory=True).lessons

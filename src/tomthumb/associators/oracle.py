@@ -9,6 +9,8 @@ import numpy as np
 from tomthumb.protocols import Rng
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
+FAR = 1e300  # a gate or a misread class excludes the pairing for others; the teacher knows better
+
 
 class Oracle:
     """Names by `truth (M,)`, the true id of every observation of the run by serial number (-1 clutter, -2 not known).
@@ -25,7 +27,7 @@ class Oracle:
         mine = self.truth[problem.serials]
         theirs = self.truth[problem.predictions.ids]
         same = (mine[:, None] == theirs[None]) & (mine[:, None] >= 0)
-        cost = np.where(same, problem.d2, np.inf)
+        cost = np.where(same, np.minimum(problem.d2, FAR), np.inf)
         return [Association(one_to_one(cost))]
 
     def learn(self, ids: Ids, t: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -104,6 +104,19 @@ def respects_labels(build: Build) -> None:
             )
 
 
+def respects_the_gate_of_signatures(build: Build) -> None:
+    """What `AssociationProblem.barred` excludes is not paired: `d2` is infinite there. True pairs are not barred here."""
+    rng = np.random.default_rng(17)
+    for _ in range(10):
+        given = trial(rng, 6, 6, spread=0.15)
+        barred = rng.random(given.problem.shape) < 0.5
+        barred[np.arange(6), given.truth] = False
+        asked = Trial(replace(given.problem, barred=barred), given.truth)
+        for hypothesis in _ask(build, asked):
+            rows = np.flatnonzero(hypothesis.match >= 0)
+            assert not barred[rows, hypothesis.match[rows]].any(), "a pairing that the signatures exclude was made"
+
+
 def weighs_hypotheses_best_first(build: Build) -> None:
     """Log weights are finite and never rise."""
     for given in trials():
@@ -144,6 +157,7 @@ ASSOCIATOR_CHECKS: tuple[Callable[[Build], None], ...] = (
     gives_the_same_answer_to_the_same_random_stream,
     leaves_its_input_as_it_was,
     respects_labels,
+    respects_the_gate_of_signatures,
     weighs_hypotheses_best_first,
     needs_only_the_predictions_that_are_always_there,
     learns_without_complaint,
