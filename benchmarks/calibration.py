@@ -1,18 +1,24 @@
 """Systematic errors of the odometry of real logs, estimated as states: values with 95 % intervals, before and after.
 
-    python benchmarks/calibration.py DATA/dlr_spatial_cognition --calibrate scale heading_bias --std 0.05 0.002
-    python benchmarks/calibration.py DATA/victoria_park --calibrate steering_gain scale --std 0.1 0.1
+    python benchmarks/calibration.py "dlr:DATA/dlr_spatial_cognition?camera=rectified" \\
+        --calibrate scale heading_bias --std 0.05 0.002
+    python benchmarks/calibration.py "victoria_park:DATA/victoria_park?odometry=aa3" \\
+        --calibrate steering_gain steering_bias scale --std 0.1 0.02 0.1
 
-Association by the log's labels. Printed: each error; dead reckoning's end-point and RMS error with the errors left in
-and taken out; the filter's NEES (3 is right, 2 where the log has no true heading) and RMS error without and with them.
+Association by the log's labels. Printed: each error, and the one that fits the odometry best to the log's batch
+solution (the motions between poses `STRIDE` apart, robust least squares); dead reckoning's end-point and RMS error with
+the errors left in and taken out; the filter's NEES (3 is right, 2 where the log has no true heading) and RMS error
+without and with them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from tomthumb import geometry
 from tomthumb.estimators.ekf import InvariantEKF
@@ -20,6 +26,8 @@ from tomthumb.models.calibration import corrected
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.catalogue import load
 from tomthumb.smoothing.graph import controls
+
+STRIDE = 5  # poses of the batch solution from one to the next that are compared
 
 
 def dead_reckoning(scenario, steps, names=(), values=()) -> np.ndarray:
@@ -38,6 +46,31 @@ def errors(poses: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     known = np.isfinite(truth[:, 0])
     away = np.linalg.norm((poses - truth)[known, :2], axis=1)
     return {"rms_m": float(np.sqrt((away**2).mean())), "end_m": float(away[-1])}
+
+
+def reference(scenario, steps, truth: np.ndarray, names) -> list[float]:
+    """The errors that bring the odometry nearest to the motions of the batch solution."""
+    moves = dict(controls(steps, scenario.motion))
+    marks = np.flatnonzero(np.isfinite(truth).all(1))[::STRIDE]
+    true = np.array([geometry.between(truth[a], truth[b]) for a, b in pairwise(marks)])
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        away = np.empty_like(true)
+        for n, (a, b) in enumerate(pairwise(marks)):
+            moved = np.zeros(3)
+            for k in range(a + 1, b + 1):
+                if k in moves:
+                    motion, control = corrected(scenario.motion, moves[k], names, values)
+                    moved = geometry.compose(moved, motion.increment(control)[0])
+            away[n] = moved - true[n]
+        away[:, 2] = geometry.wrap(away[:, 2])
+        return away
+
+    scale = 1.4826 * np.median(np.abs(residual(np.zeros(len(names)))), axis=0)
+    fit = least_squares(
+        lambda v: (residual(v) / scale).ravel(), np.zeros(len(names)), loss="soft_l1", diff_step=1e-4, max_nfev=8
+    )
+    return fit.x.tolist()
 
 
 def nees(trace, truth: np.ndarray) -> float:
@@ -76,6 +109,7 @@ def main() -> None:
     result = {
         "log": scenario.name,
         "calibration": {k: {"value": v, "low": v - 1.96 * s, "high": v + 1.96 * s} for k, (v, s) in found.items()},
+        "reference": dict(zip(options.calibrate, reference(scenario, steps, truth, options.calibrate), strict=True)),
         "dead_reckoning_before": errors(dead_reckoning(scenario, steps), truth),
         "dead_reckoning_after": errors(dead_reckoning(scenario, steps, options.calibrate, values), truth),
         "filter_before": {**errors(before.pose, truth[: len(before.t)]), "nees": nees(before, truth[: len(before.t)])},

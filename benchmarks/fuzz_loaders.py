@@ -35,6 +35,7 @@ from fuzz_targets import Target, attempt, survives, targets
 from tomthumb.bench.execute import memory_bound
 
 LIMIT_S, LIMIT_MIB = 20, 1024
+BEGIN, END = "<!-- fuzz: benchmarks/fuzz_loaders.py -->", "<!-- end of fuzz -->"
 MEMORY_PLACE = "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
@@ -48,15 +49,18 @@ def _hang(number: int, frame: Any) -> None:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Memory bound, hangs ended (in Python code by an alarm, in others by the end of the process), no warnings."""
-    signal.signal(signal.SIGALRM, _hang)
+    """Memory bound, and warnings are errors."""
     with memory_bound(LIMIT_MIB), warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
 
 
 def run(name: str, target: Target, cases: range, seed: int, place: Path) -> dict[str, float]:
-    """Such cases of one loader: how many, how many of them were still read, the slowest in s, all together in s."""
+    """Such cases of one loader: how many, how many of them were still read, the slowest in s, all together in s.
+
+    Hangs are ended: in Python code by an alarm, in other code by the end of the process.
+    """
+    signal.signal(signal.SIGALRM, _hang)
     read, slowest, begun = 0, 0.0, time.monotonic()
     for case in cases:
         folder = place / "case"
@@ -102,8 +106,26 @@ def all_in_turn(chosen: dict[str, Target], options: argparse.Namespace) -> None:
             kept[loader] = add(kept.get(loader, {}), run(loader, chosen[loader], cases, options.seed, Path(name)))
             if options.keep:
                 options.keep.write_text(json.dumps(kept, indent=1))
-    for loader, row in kept.items():
-        print(loader, json.dumps({key: round(value, 2) for key, value in row.items()}), flush=True)
+    print("\n".join(table(kept)), flush=True)
+    if options.write:
+        write(options.write, kept)
+
+
+def table(kept: dict[str, Any]) -> list[str]:
+    """The tally as the lines of a Markdown table."""
+    head = ["| loader | cases | still read | slowest s | ms a case | process MiB |", "|---|---|---|---|---|---|"]
+    return head + [
+        f"| {name} | {row['cases']} | {row['read']} | {row['slowest_s']:.1f} | "
+        f"{1e3 * row['seconds'] / row['cases']:.1f} | {row['peak_mib']} |"
+        for name, row in kept.items()
+    ]
+
+
+def write(document: Path, kept: dict[str, Any]) -> None:
+    """Put the table between the marks of a document."""
+    before, _, rest = document.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    document.write_text("\n".join([before + BEGIN, "", *table(kept), "", END]) + after, encoding="utf-8")
 
 
 def guided(name: str, target: Target, seconds: int) -> None:
@@ -155,6 +177,7 @@ def main() -> None:
     parser.add_argument("--loader", nargs="*")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("TOMTHUMB_DATA", "../shared/data")))
     parser.add_argument("--keep", type=Path)
+    parser.add_argument("--write", type=Path, help="put the table between the marks of this document")
     parser.add_argument("--atheris", type=int, metavar="SECONDS")
     options = parser.parse_args()
     data = options.data if options.data.is_dir() else None

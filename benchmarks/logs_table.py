@@ -1,11 +1,13 @@
 """Every log with every associator: the table of docs/logs.md.
 
-    python benchmarks/logs_table.py [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--write FILE.md]
+    python benchmarks/logs_table.py --keep rows.json --write docs/logs.md
+        [--data FOLDER] [--only NAME ...] [--associators oracle,nn,...] [--limit SECONDS]
 
-Rows already in ``--keep FILE.json`` are not run again, so that an interrupted table goes on where it stopped. With
---write the table replaces what stands between the marks in the document. ATE after rigid alignment, without scale;
-"GPS" is the RMS distance of the estimated laser point to the nearest GPS fix in time (0.1 s), aligned as well; the
-real-time factor is the log's duration over the CPU time of the run.
+Rows that ``--keep FILE.json`` has from the same code are not run again, so that an interrupted table goes on where it
+stopped; each row is kept as soon as it is there, and ended after --limit s. With --write the table replaces what stands
+between the marks in the document. ATE after rigid alignment, without scale; "GPS" is the RMS distance of the estimated
+laser point to the nearest GPS fix in time (0.1 s), aligned as well; the real-time factor is the log's duration over the
+CPU time of the run.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import argparse
 import json
 import math
 import os
+import signal
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +25,7 @@ from typing import Any
 import numpy as np
 
 import tomthumb
+from tomthumb.bench.version import code_version
 from tomthumb.geometry import align, to_world
 from tomthumb.scenarios import load
 from tomthumb.types import Scenario, Trace
@@ -58,7 +62,27 @@ def measure(scenario: Scenario, associator: str, seed: int) -> dict[str, Any]:
     row = {key: found.get(key) for key in keys}
     row["gps_m"] = gps_error(trace, scenario)
     row["real_time"] = float(trace.t[-1] - trace.t[0]) / cpu if len(trace.t) else None
-    return row
+    return row | {"cpu_s": cpu}
+
+
+def bounded(scenario: Scenario, associator: str, seed: int, limit: int) -> dict[str, Any]:
+    """`measure`, ended after `limit` s of processor time: then the row says so. (One that diverges says so itself.)"""
+    signal.signal(signal.SIGPROF, _too_long)
+    signal.setitimer(signal.ITIMER_PROF, limit)
+    try:
+        return measure(scenario, associator, seed)
+    except TooLong:
+        return {"failure": f"not finished after {limit} s", "cpu_s": float(limit), "limit_s": limit}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+class TooLong(BaseException):
+    """The time of a row is over: no Exception, so that nobody on the way catches it."""
+
+
+def _too_long(number: int, frame: Any) -> None:
+    raise TooLong
 
 
 def gps_error(trace: Trace, scenario: Scenario) -> float | None:
@@ -101,21 +125,38 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--limit", type=int, default=900, help="seconds of processor time for one row")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.exists() else {}
+    code, limit = code_version(), options.limit
     for name in options.only or LOGS:
+        have = {a: kept.get(f"{name}|{a}", {}) for a in options.associators.split(",")}
+        wanted = [a for a, row in have.items() if row.get("code") != code or row.get("limit_s", limit) < limit]
+        if not wanted:
+            continue
         scenario = load(LOGS[name].format(options.data))
         labelled = bool((scenario.true_ids() >= 0).any())
-        for associator in options.associators.split(","):
-            key = f"{name}|{associator}"
-            if key in kept or (associator == "oracle" and not labelled):
+        for associator in wanted:
+            if associator == "oracle" and not labelled:
                 continue
-            kept[key] = measure(scenario, associator, options.seed)
-            print(line(name, associator, kept[key]), flush=True)
+            row = bounded(scenario, associator, options.seed, limit) | {"code": code}
+            kept[f"{name}|{associator}"] = row
+            print(line(name, associator, row), f"{row['cpu_s']:.0f} s", flush=True)
             if options.keep:
-                options.keep.write_text(json.dumps(kept, indent=1))
+                keep(options.keep, kept)
+            if options.write:
+                write(options.write, kept)
+    fresh = [row for row in kept.values() if row.get("code") == code]
+    print(f"{len(fresh)} rows of this code, {sum(row['cpu_s'] for row in fresh) / 60:.0f} minutes; {len(kept)} in all")
     if options.write:
         write(options.write, kept)
+
+
+def keep(path: Path, kept: Mapping[str, Any]) -> None:
+    """Write the rows so that a kill at any moment leaves the old file or the new one."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(kept, indent=1))
+    part.replace(path)
 
 
 def write(document: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:

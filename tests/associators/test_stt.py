@@ -119,16 +119,49 @@ def test_the_refined_pose_is_the_true_one():
         assert (match == truth).mean() > 0.9
 
 
-def test_unambiguous_scans_are_proven_and_right():
-    rng = np.random.default_rng(4)
+def test_unambiguous_scans_are_settled_at_once_and_right():
+    """The quick path proves nothing, but what it takes is the maximum; without it the certificate proves that."""
+    rng, quick = np.random.default_rng(4), 0
     for _ in range(20):
         problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
         found = TomThumb().associate(problem, rng)[0]
+        slow = TomThumb(quick=0.0).associate(problem, rng)[0]
         own, odds = base_gains(problem, None)
         table = tabulate(problem, 1 - 1e-6)
         best = np.where(table.compatible, table.posterior(own[:, None] + odds[None]), -np.inf).max()
-        assert found.info["proof"] == "optimal"
+        assert slow.info["proof"] == "optimal"
+        quick += found.info["proof"] == "unambiguous"
         assert found.info["objective"] == pytest.approx(best, abs=1e-8)
+        assert slow.info["objective"] == pytest.approx(best, abs=1e-8)
+    assert quick >= 5
+
+
+def test_the_quick_path_decides_as_the_whole_search_does():
+    """Wherever it takes a scan: same names, same L, same confidence as certificate and marginals."""
+    rng, taken = np.random.default_rng(12), 0
+    for k in range(400):
+        m, n = (int(v) for v in rng.integers(1, 9, 2))
+        problem = random_problem(rng, m, n, spread=float(rng.uniform(1.5, 12.0)), pose=float(rng.uniform(0.02, 0.5)))
+        for decide in ("marginal", "map"):
+            one = TomThumb(decide=decide).associate(problem, np.random.default_rng(k))[0]
+            if one.info["proof"] != "unambiguous":
+                continue
+            two = TomThumb(decide=decide, quick=0.0).associate(problem, np.random.default_rng(k))[0]
+            assert np.array_equal(one.match, two.match)
+            assert one.info["objective"] == pytest.approx(two.info["objective"], abs=1e-7)
+            assert np.allclose(one.confidence, two.confidence, atol=0.01)
+            taken += 1
+    assert taken > 80
+
+
+def test_the_quick_path_leaves_doubtful_scans_to_the_search():
+    """A candidate too many, one that two want, or a pairing that gains too little."""
+    rng = np.random.default_rng(13)
+    problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
+    assert TomThumb(quick=0.1).associate(problem, rng)[0].info["proof"] == "unambiguous"
+    assert TomThumb(quick=1e3).associate(problem, rng)[0].info["proof"] == "optimal"
+    shared = random_problem(rng, 6, 1, spread=0.3)
+    assert TomThumb().associate(shared, rng)[0].info["proof"] != "unambiguous"
 
 
 def test_the_objective_is_the_maximum_over_all_hypotheses():
@@ -164,3 +197,17 @@ def test_confidence_is_a_probability_and_matches_are_one_to_one(seed, m, n, bear
     assert ((found.confidence >= -1e-9) & (found.confidence <= 1 + 1e-9)).all()
     paired = found.match[found.match >= 0]
     assert len(np.unique(paired)) == len(paired)
+
+
+def test_a_basin_already_entered_is_not_entered_again():
+    problem, _, error = wide(np.random.default_rng(7), 20)
+    s, cell = rigid(problem, *base_gains(problem, None)), 0.5
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5), cell)
+    apart = np.array([0.3, 0.1])
+    rest = (*flights.fill_grid(s.p, cell), NO_LABELS, 27.6, apart, 3)
+    ends, _, _, values = motion.descend(np.array([error]), *args, *rest)
+    again = np.array([error, ends[0] + 0.05 * np.array([0.3, 0.0, 0.1]), ends[0] + np.array([2.0, 0.0, 0.0])])
+    _, _, matches, values = motion.descend(again, *args, *rest)
+    assert np.isfinite(values[[0, 2]]).all()
+    assert values[1] == -np.inf
+    assert (matches[1] == -1).all()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from estimators.worlds import drive, models
 from tomthumb import geometry
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.estimators import pages
+from tomthumb.estimators import echo, pages
 from tomthumb.estimators.ekf import EKF
 from tomthumb.estimators.fastslam import FastSLAM
 from tomthumb.kernels import fastslam as kernel
@@ -188,7 +188,7 @@ def test_the_quick_path_names_by_maximum_likelihood():
     fast, belief, ahead, rng = grown(particles=5)
     _, control, seen, _ = ahead[0]
     belief = fast.predict(belief, control, rng)
-    named = fast.name(belief, seen, gate=0.999)
+    named = fast.name(belief, seen)
     gate2 = -2.0 * np.log(0.001)
     for p, predictions in enumerate(fast.expect(belief)):
         n = len(predictions)
@@ -207,6 +207,50 @@ def test_the_quick_path_names_by_maximum_likelihood():
             rivals = [j for j in range(len(seen)) if best[j] == best[i] and cost[j, best[j]] < value]
             expected = -1 if not np.isfinite(value) or rivals else int(predictions.ids[best[i]])
             assert named[p, i] == expected
+
+
+def test_quick_asks_for_the_heaviest_alone_and_ends_where_the_common_path_does():
+    """Landmarks far apart: maximum likelihood and the truth agree, so both paths run the same filter."""
+    motion, sensor = models("range_bearing")
+    slow, quick = (
+        FastSLAM(motion, sensor, particles=20),
+        FastSLAM(motion, sensor, particles=20, quick=True, gate=1.0 - 1e-9),
+    )
+    beliefs, known = [], np.empty(0, np.int64)
+    points = np.array([[2.0, 2.0], [2.0, -2.0], [3.2, 0.6], [3.0, -0.9]])
+    sources = [np.random.default_rng(5), np.random.default_rng(5)]
+    for est, rng in zip((slow, quick), sources, strict=True):
+        beliefs.append(est.init(np.zeros(3), np.zeros((3, 3)), rng))
+    noise = np.random.default_rng(6)
+    pose, ids = np.zeros(3), np.arange(4)
+    for _ in range(15):
+        control = Control(np.array([0.1, 0.0, 0.02]), 1.0)
+        pose = geometry.compose(pose, control.u)
+        z = sensor.expect(pose, points)[0] + 0.01 * noise.standard_normal((4, 2))
+        seen = Observations(z, np.tile(1e-4 * np.eye(2), (4, 1, 1)))
+        for k, (est, rng) in enumerate(zip((slow, quick), sources, strict=True)):
+            b = est.predict(beliefs[k], control, rng)
+            asked = len(est.expect(b))
+            assert asked == (20 if est is slow else 1)
+            named = np.where(np.isin(ids, known), ids, -1)
+            b = est.update(b, seen, [named] * asked, rng)
+            b = est.add(b, seen, [np.where(named < 0, ids, -1)] * asked, rng)
+            beliefs[k] = est.promote(b, ids)
+        known = ids
+    np.testing.assert_allclose(beliefs[1].pose, beliefs[0].pose, atol=1e-12)
+    np.testing.assert_allclose(beliefs[1].log_weight, beliefs[0].log_weight, atol=1e-12)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_residuals_that_repeat_raise_the_noise_and_white_ones_do_not(rho):
+    rng, heard = np.random.default_rng(3), echo.Echo()
+    value, slots = rng.standard_normal((3, 2)), np.array([0, 5, 70])
+    for _ in range(3000):
+        value = rho * value + np.sqrt(1.0 - rho * rho) * rng.standard_normal((3, 2))
+        raised = echo.listen(heard, slots, value)
+    np.testing.assert_allclose(raised, 1.0 if rho == 0.0 else 19.0, rtol=0.3)
+    echo.forget(heard, 5)
+    assert np.isnan(heard.last[5]).all()
 
 
 def test_crumbs_neither_weigh_nor_move_the_particles():

@@ -48,7 +48,8 @@ def searched(problem, base, slack, budget=10**6, size=64, gates2=None):
     m = len(problem.z)
     pool, values = np.full((size, m), -1, np.int64), np.full(size, -np.inf)
     nodes, proven = posterior.search(
-        *arrays(problem, base), posterior.most_possible(near.start, near.columns, base, problem.R), listed.order, listed.start, listed.columns,
+        *arrays(problem, base), posterior.most_possible(near.start, near.columns, base, problem.R),
+        listed.order, listed.start, listed.columns,
         np.full(m + 1, np.inf) if gates2 is None else gates2, np.full(m, -1, np.int64), 0.0, slack, budget, pool, values,
     )  # fmt: skip
     return pool, values, nodes, proven

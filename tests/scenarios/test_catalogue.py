@@ -88,3 +88,10 @@ def test_a_broken_file_is_named(tmp_path):
     (tmp_path / "log.jsonl").write_text("not json\n")
     with pytest.raises(BrokenFile, match=r"log\.jsonl:1"):
         load(str(tmp_path / "log.jsonl"))
+
+
+def test_paths_that_cannot_be_are_one_line(tmp_path):
+    for spec in ("a/" + "b" * 5000, f"{tmp_path}/{'b' * 5000}.g2o", f"csv:{tmp_path}/{'b' * 5000}"):
+        with pytest.raises(TomThumbError) as found:
+            load(spec)
+        assert "\n" not in str(found.value)

@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 import lzma
+import struct
 import sys
 import tempfile
 import time
@@ -145,8 +146,16 @@ def test_a_folder_a_missing_file_and_a_cut_archive_are_named(tmp_path):
             read_bytes(path)
 
 
+@pytest.mark.parametrize("element", [struct.pack("<II", 6, 0), struct.pack("<IIII", 6, 8, 2, 0)])
+def test_a_matlab_file_of_empty_elements_is_named(tmp_path, element):
+    """A matrix whose flags are empty; one that claims to be a struct and has no field names."""
+    parts = element + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 1) + b"o" + bytes(7)
+    (tmp_path / "a.mat").write_bytes(b" " * 124 + b"\x00\x01IM" + struct.pack("<II", 14, len(parts)) + parts)
+    with pytest.raises(BrokenFile, match="without"):
+        load(f"golden:{tmp_path}/a.mat")
+
+
 def test_a_matlab_file_that_unfolds_is_refused(tmp_path):
-    import struct
     import zlib
 
     packed = zlib.compress(b"\0" * (MAX_BYTES + 100), 9)

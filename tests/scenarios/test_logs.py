@@ -113,6 +113,22 @@ def test_victoria_park(data, detections):
     assert dead_reckoning(scenario, scenario.steps[0].t + 120.0) == pytest.approx(2.2, abs=0.3)
 
 
+def test_the_other_odometry_of_victoria_park_reads_less_steering(data):
+    """DRS.txt is 1.059 times aa3_dr.mat plus 0.0026 rad, at the same times."""
+    readings = {}
+    for record in ("drs", "aa3"):
+        steps = load(f"victoria_park:{data('victoria_park')}?odometry={record}").steps
+        first = [steps[k] for k in range(8000)]
+        readings[record] = {round(s.t, 2): s.control.u for s in first if s.control is not None}
+    both = sorted(readings["drs"].keys() & readings["aa3"].keys())
+    assert len(both) > 1000
+    u = {record: np.array([of[t] for t in both]) for record, of in readings.items()}
+    gain, bias = np.polyfit(u["aa3"][:, 1], u["drs"][:, 1], 1)
+    assert gain == pytest.approx(1.059, abs=0.01)
+    assert bias == pytest.approx(0.0026, abs=0.002)
+    assert np.corrcoef(u["aa3"][:, 0], u["drs"][:, 0])[0, 1] > 0.99
+
+
 @pytest.mark.parametrize(("robot", "sightings"), [(1, 2578), (2, 3818), (3, 4425), (4, 1822), (5, 3424)])
 def test_mrclam(data, robot, sightings):
     scenario = load(f"mrclam:{data('utias_mrclam')}?robot={robot}")
@@ -135,6 +151,21 @@ def test_dlr(data):
     assert len(scenario.steps) == 3297 + 1
     assert (len(ids), (ids == -2).sum(), len(np.unique(ids[ids >= 0]))) == (14745, 436, 576)
     assert np.median(np.linalg.norm(residuals(scenario), axis=1)) == pytest.approx(0.038, abs=0.003)
+
+
+def test_dlr_rectified(data):
+    """Without the camera's own bend, far circles no longer stand too near at the batch solution's poses."""
+
+    def slope(camera):
+        scenario = load(f"{data('dlr_spatial_cognition')}?camera={camera}")
+        away, ids, ahead = residuals(scenario), scenario.true_ids(), []
+        for step in scenario.steps:
+            ahead += [] if step.observations is None else (-step.observations.z[:, 1]).tolist()
+        far = np.array(ahead)[ids >= 0]
+        good = np.abs(away[:, 1]) < 0.3
+        return abs(np.polyfit(far[good], away[good, 1], 1)[0])
+
+    assert slope("rectified") < 0.5 * slope("published")
 
 
 @pytest.mark.parametrize("name", ["cityTrees10000.txt.gz", "monte_carlo/cityTrees10000_1.txt.xz"])

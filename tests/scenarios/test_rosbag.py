@@ -3,8 +3,11 @@
 import bz2
 import contextlib
 import math
+import re
+import sqlite3
 import struct
 import tracemalloc
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -251,6 +254,8 @@ def test_a_damaged_bag_is_named(tmp_path):
             read(tmp_path, "run")
     with pytest.raises(BrokenFile, match="no such bag"):
         read(tmp_path, "nowhere")
+    with pytest.raises(BrokenFile, match="File name too long"):
+        read(tmp_path, "a" * 5000)
 
 
 def _spoiled(data, rng):
@@ -290,6 +295,18 @@ def test_a_chunk_of_ros1_that_unfolds_is_refused(tmp_path, small_chunks):
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n" + record)
     with pytest.raises(BrokenFile, match="when unpacked"):
         read(tmp_path, "a.bag")
+
+
+def test_a_packed_message_that_unfolds_is_refused(tmp_path, small_chunks):
+    write_ros2(tmp_path / "run", world(), markers, False)
+    yaml = tmp_path / "run" / "metadata.yaml"
+    text = yaml.read_text()
+    yaml.write_text(re.sub("compression_mode:.*", "compression_mode: MESSAGE", text))
+    with closing(sqlite3.connect(next((tmp_path / "run").glob("*.db3")))) as base:
+        base.execute("UPDATE messages SET data = ? WHERE id = 5", (zstd_compress(bytes(small_chunks + 1000)),))
+        base.commit()
+    with pytest.raises(BrokenFile, match="a message of more than 8 MiB when unpacked"):
+        read(tmp_path, "run")
 
 
 def test_files_never_read_beyond_their_end(tmp_path):

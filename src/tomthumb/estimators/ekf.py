@@ -62,7 +62,7 @@ class EKF:
     outliers: float = 0.0
     local: int = 200
     margin: float = 1.0
-    crowd: float = 2.4
+    crowd: float = 2.0
     calibrate: tuple[str, ...] = ()
     calibrate_std: tuple[float, ...] = ()
 

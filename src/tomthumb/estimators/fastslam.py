@@ -6,6 +6,9 @@ updated at the drawn pose. With `version` 1 the pose is drawn from the odometry 
 crumb and count as unexplained, so they neither move nor weigh the particle. Stones in view that were not seen count
 against it.
 
+A particle cannot take back what it once believed, as a filter with cross-covariances can. Bearings that err alike from
+scan to scan turn its map for good, so they must not count as news: `estimators.echo` measures that, `whiten` heeds it.
+
 Particles are resampled before the next motion, so that ids given for each particle fit from `expect` to `add`; the
 heaviest is always the first.
 
@@ -24,7 +27,8 @@ from scipy.special import chdtri
 
 from tomthumb import geometry
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.estimators import pages
+from tomthumb.estimators import echo, mixture, pages
+from tomthumb.estimators.echo import Echo
 from tomthumb.estimators.pages import Pages
 from tomthumb.kernels import fastslam as kernel
 from tomthumb.kernels import particles
@@ -44,6 +48,8 @@ class Particles:
     log_weight: Array
     maps: Pages
     view: View | None = None
+    echo: Echo = field(default_factory=Echo)
+    named: Ids = field(default_factory=lambda: np.empty((0, 0), np.int64))
     stats: dict[str, Any] = field(default_factory=lambda: {"nis": 0.0, "dof": 0, "iterations": 0})
 
     def weights(self) -> Array:
@@ -73,7 +79,9 @@ class FastSLAM:
     """`particles` many; `version` 2 or 1; resampled when the effective number falls below `resample` of them.
 
     `iterations` of the proposal's linearisation. `density`: observations per m2 and scan that no stone explains;
-    `negative`: stones in view that are not seen count. Raises `TomThumbError` for settings that cannot be.
+    `negative`: stones in view that are not seen count. `whiten`: the noise of angles is raised as far as their residuals
+    repeat themselves. `quick`: the associator names the scan for the heaviest particle alone, the others name it by
+    maximum likelihood within `gate`, all in one kernel. Raises `TomThumbError` for settings that cannot be.
     """
 
     motion: Motion
@@ -84,8 +92,13 @@ class FastSLAM:
     iterations: int = 2
     density: float = 0.3
     negative: bool = True
+    whiten: bool = True
+    quick: bool = False
+    gate: float = 0.999
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.gate < 1.0:
+            raise TomThumbError(f"gate={self.gate}: a probability between 0 and 1")
         if self.particles < 1 or self.iterations < 1 or self.version not in (1, 2):
             raise TomThumbError(
                 f"particles={self.particles}, iterations={self.iterations}, version={self.version}: "
@@ -108,7 +121,8 @@ class FastSLAM:
     def fork(self, belief: Particles) -> Particles:
         """See `protocols.Estimator`."""
         b = belief
-        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), pages.copy(b.maps), b.view, dict(b.stats))
+        maps, heard = pages.copy(b.maps), echo.copy(b.echo)
+        return Particles(b.pose.copy(), b.cov.copy(), b.log_weight.copy(), maps, b.view, heard, b.named, dict(b.stats))
 
     def predict(self, belief: Particles, control: Control, rng: Rng) -> Particles:
         """See `protocols.Estimator`. Resamples first, where the last scan made it necessary."""
@@ -158,11 +172,12 @@ class FastSLAM:
         return b.view
 
     def expect(self, belief: Particles) -> Sequence[Predictions]:
-        """See `protocols.Estimator`: one for each particle."""
+        """See `protocols.Estimator`: one for each particle, or for the heaviest alone (`quick`)."""
         v = self._look(belief)
         cov = _in_body(belief)
         ids, stone = belief.maps.ids[v.slots], belief.maps.stone[v.slots]
-        return [self._predictions(v, p, cov[p], ids, stone, belief) for p in range(len(belief.pose))]
+        asked = range(1 if self.quick else len(belief.pose))
+        return [self._predictions(v, p, cov[p], ids, stone, belief) for p in asked]
 
     def _predictions(self, v: View, p: int, cov: Array, ids: Ids, stone: Mask, b: Particles) -> Predictions:
         keep = np.flatnonzero(v.chance[p] > UNSEEN)
@@ -179,14 +194,14 @@ class FastSLAM:
             ids[keep], v.z_hat[p, keep], C, b.cov[p], Hx @ cov @ turn.T, frame, None, visible, stone[keep]
         )  # fmt: skip
 
-    def name(self, belief: Particles, observations: Observations, gate: float = 0.999) -> Ids:
+    def name(self, belief: Particles, observations: Observations) -> Ids:
         """Ids (M, m) of the observations by maximum likelihood in each particle, -1 for none: the quick path.
 
         The same as an associator would say that takes, for each observation, the likeliest landmark within the gate.
         """
         v = self._look(belief)
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - gate)))
+        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - self.gate)))
         named: Ids = np.where(match >= 0, belief.maps.ids[v.slots][match], -1) if len(v.slots) else match
         return named
 
@@ -196,13 +211,16 @@ class FastSLAM:
         """See `protocols.Estimator`. Raises `Diverged`."""
         b, m = belief, belief.maps
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        slots = np.array([[m.slot.get(i, -1) for i in row] for row in np.asarray(ids).tolist()], np.int64)
+        b.named = self._all_named(b, observations, ids)
+        slots = np.array([[m.slot.get(i, -1) for i in row] for row in b.named.tolist()], np.int64)
         slots = slots.reshape(len(b.pose), len(z))
         firm = (slots >= 0) & m.stone[slots] if len(m.stone) else slots >= 0
         if self.negative:
             v = self._look(b)
             detect = min(self.sensor.detect, 0.999)
             b.log_weight += particles.missed(v.slots, v.chance, v.there, m.stone, slots, firm, detect)
+        if self.whiten:
+            R = R * self._listen(b, z, R, np.where(firm, slots, -1))
         shift, cov = self._propose(b, z, R, slots, firm)
         b.log_weight += ((~firm) @ np.log(self.density * self.sensor.scale(z))) if len(z) else 0.0
         self._draw(b, shift, cov, rng)
@@ -211,6 +229,25 @@ class FastSLAM:
         if not (np.isfinite(b.log_weight).any() and np.isfinite(b.pose).all()):
             raise Diverged("no particle explains the observations")
         return b
+
+    def _all_named(self, b: Particles, observations: Observations, ids: Sequence[Ids]) -> Ids:
+        """Ids (M, m): as given, or where only the heaviest particle's are, the others' by maximum likelihood."""
+        if not self.quick or len(ids) == len(b.pose):
+            return np.asarray(ids, np.int64).reshape(len(b.pose), len(observations))
+        named = self.name(b, observations)
+        named[0] = ids[0]
+        return named
+
+    def _listen(self, b: Particles, z: Array, R: Array, slots: Ids) -> Array:
+        """By what R (m, 2, 2) is to be multiplied, from the residuals of the heaviest particle before the scan."""
+        points, _ = _of_each(b.pose[:1], slots[:1], b.maps)
+        residual = z - _expect(self.sensor, points)[0][0]
+        for k in self.sensor.angles:
+            residual[:, k] = geometry.wrap(residual[:, k])
+        raised = echo.listen(b.echo, slots[0], residual / np.sqrt(R[:, [0, 1], [0, 1]]))
+        raised[~self._wrapped()] = 1.0
+        factor: Array = np.sqrt(np.outer(raised, raised))
+        return factor
 
     def _propose(self, b: Particles, z: Array, R: Array, slots: Ids, firm: Mask) -> tuple[Array, Array]:
         """Each pose's Gaussian after the scan, in its own frame; weights and statistics are brought up to date."""
@@ -238,7 +275,7 @@ class FastSLAM:
         z_hat, H = _expect(self.sensor, points)
         pages.reserve(b.maps, pages.columns_of(slots))
         kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, self._wrapped(), *pages.arrays(b.maps))
-        kernel.boxes(_distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
+        kernel.boxes(pages.distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
 
     def _wrapped(self) -> Any:
         return np.array([k in self.sensor.angles for k in range(2)])
@@ -248,7 +285,10 @@ class FastSLAM:
     def add(self, belief: Particles, observations: Observations, ids: Sequence[Ids], rng: Rng) -> Particles:
         """See `protocols.Estimator`. A landmark may be new in some particles and known under another id in others."""
         b, m = belief, belief.maps
-        named = np.asarray(ids, np.int64).reshape(len(b.pose), len(observations))
+        named = np.asarray(ids, np.int64).reshape(len(ids), len(observations))
+        if len(named) < len(b.pose):  # new to the heaviest: new to all that found no name for it either
+            size = (len(b.pose), named.shape[1])
+            named = np.where(b.named < 0 if b.named.shape == size else np.ones(size, bool), named, -1)
         rows = np.flatnonzero((named >= 0).any(0))
         if not len(rows):
             return b
@@ -284,6 +324,7 @@ class FastSLAM:
     def forget(self, belief: Particles, ids: Ids) -> Particles:
         """See `protocols.Estimator`."""
         for i in ids.tolist():
+            echo.forget(belief.echo, belief.maps.slot[i])
             pages.forget(belief.maps, i)
         belief.view = None
         return belief
@@ -309,30 +350,12 @@ class FastSLAM:
 
     def pose(self, belief: Particles) -> tuple[Array, Array]:
         """See `protocols.Estimator`: mean and covariance of the mixture; headings are averaged on the circle."""
-        w, x = belief.weights(), belief.pose
-        heading = float(np.arctan2(w @ np.sin(x[:, 2]), w @ np.cos(x[:, 2])))
-        mean = np.array([*(w @ x[:, :2]), heading])
-        away = x - mean
-        away[:, 2] = geometry.wrap(away[:, 2])
-        cov: Array = np.einsum("p,pi,pj->ij", w, away, away) + np.tensordot(w, belief.cov, 1)
-        return mean, cov
+        return mixture.pose(belief.weights(), belief.pose, belief.cov)
 
     def estimate(self, belief: Particles) -> Estimate:
         """See `protocols.Estimator`: the heaviest particle's landmarks, averaged over all particles that hold them."""
-        m, w = belief.maps, belief.weights()
-        best = int(w.argmax())
-        slots = np.flatnonzero(m.live)
-        page = m.table[:, slots // pages.SIZE]
-        there = (page >= 0) & m.has[page, slots % pages.SIZE]
-        slots, page, there = slots[there[best]], page[:, there[best]], there[:, there[best]]
-        weight = there * w[:, None]
-        weight /= weight.sum(0)
-        mean, cov = m.mean[page, slots % pages.SIZE], m.cov[page, slots % pages.SIZE]
-        centre = np.einsum("pn,pni->ni", weight, np.where(there[..., None], mean, 0.0))
-        away = np.where(there[..., None], mean - centre, 0.0)
-        own = np.einsum("pn,pni->ni", weight, np.where(there[..., None], cov, 0.0))
-        covs = np.einsum("pn,pni,pnj->nij", weight, away, away) + own[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-        return Estimate(*self.pose(belief), m.ids[slots], centre, covs, m.stone[slots])
+        ids, places, covs, stone = mixture.landmarks(belief.weights(), belief.maps)
+        return Estimate(*self.pose(belief), ids, places, covs, stone)
 
     def stats(self, belief: Particles) -> dict[str, Any]:
         """See `protocols.Estimator`; of the heaviest particle."""
@@ -367,11 +390,3 @@ def _of_each(pose: Array, slots: Ids, m: Pages) -> tuple[Array, Array]:
     """Landmarks `slots` (M, m; -1 gives a stand-in) in each robot's frame: points, covariances (M, m, 2, 2)."""
     points, spread, _ = kernel.to_body(pose, slots, m.table, m.mean, m.cov, m.has)
     return points, spread
-
-
-def _distinct(slots: Ids) -> Ids:
-    """The slots that occur, each once."""
-    flat = slots[slots >= 0]
-    seen = np.zeros(int(flat.max()) + 1, bool)
-    seen[flat] = True
-    return np.flatnonzero(seen)

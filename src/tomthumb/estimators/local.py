@@ -86,7 +86,7 @@ def _radius(whole: Gaussian, place: Array, crowd: float) -> float:
     """Distance within which `crowd` times the square root of the number of landmarks stand.
 
     A step costs as the square of the region's size n, leaving it about as the square of the map's size N, and the less
-    often the larger it is: where n^2 + N^2 / n is least, or nearly, n grows as the square root of N (measured: 2.4).
+    often the larger it is: where n^2 + N^2 / n is least, or nearly, n grows as the square root of N (measured: 2).
     """
     points = whole.landmarks()[whole.hidden :]
     count = min(int(crowd * np.sqrt(len(points))), len(points) // 2)

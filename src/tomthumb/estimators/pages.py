@@ -77,6 +77,14 @@ def columns_of(slots: Ids) -> int:
     return len(set((slots[slots >= 0] // SIZE).tolist()))
 
 
+def distinct(slots: Ids) -> Ids:
+    """The slots that occur (-1: none), each once, ascending."""
+    flat = slots[slots >= 0]
+    seen = np.zeros(int(flat.max()) + 1, bool)
+    seen[flat] = True
+    return np.flatnonzero(seen)
+
+
 def open_slots(m: Pages, ids: list[int]) -> list[int]:
     """A slot for each new landmark; the slots of forgotten ones are used again."""
     out = []

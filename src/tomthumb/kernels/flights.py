@@ -21,13 +21,13 @@ LOG_2PI = math.log(2.0 * math.pi)
 @jit
 def ready(
     q: Array, R: Array, D: Array, base: Array, odds: Array, counts: Array, most: int
-) -> tuple[Array, Array, Array, Array, float, Array, Array, Array]:  # fmt: skip
+) -> tuple[Array, Array, Array, float, Array, Array, Array]:  # fmt: skip
     """What `explore` works with, from observations q (m, 2) with noise R, own covariances D (n, 2, 2) and gains.
 
     A pose from two observations is itself uncertain by about their noise: votes are weighed by three times it.
-    Returns W (m, 3), gain (m,), worth (n,), sigma (m,) m of each observation, the side of a cell that holds every vote
-    worth casting, apart (2,), and up to `most` pairs of observations (a, 2) with the tolerance (a,) m on their distance:
-    few candidates and long baseline first, each observation used at most three times, 3.5 sigma of the two.
+    Returns W (m, 3), gain (m,), worth (n,), the side m of a cell that holds every vote worth casting, apart (2,), and up
+    to `most` pairs of observations (a, 2) with the tolerance (a,) m on their distance: few candidates and long baseline
+    first, each observation used at most three times, 3.5 sigma of the two.
     """
     m, n = q.shape[0], D.shape[0]
     own, top = np.zeros(3), odds.max()
@@ -45,7 +45,7 @@ def ready(
         noise += (a + d) / m
     apart = np.array([2.0 * math.sqrt(noise), 2.0 * math.sqrt(noise) / max(np.abs(q).max(), 1e-9)])
     pairs, tolerance = _anchors(q, sigma, counts, most)
-    return W, gain, odds - top, sigma, cell, apart, pairs, tolerance
+    return W, gain, odds - top, cell, apart, pairs, tolerance
 
 
 @jit

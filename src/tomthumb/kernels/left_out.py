@@ -1,4 +1,4 @@
-"""What each pairing adds to the joint posterior, given all the other pairings of a hypothesis."""
+"""What each pairing adds to the joint posterior, given all the others; and the scan in which that settles everything."""
 
 from __future__ import annotations
 
@@ -106,3 +106,82 @@ def _product(Q: Array, v: Array) -> Array:
         for c in range(v.shape[0]):
             out[r] += Q[r, c] * v[c]
     return out
+
+
+@jit
+def unambiguous(
+    nu: Array, C: Array, R: Array, own: Array, odds: Array, start: Array, columns: Array, doubt: float
+) -> tuple[bool, Array, Array, float]:
+    """The quick path: whether nobody has two candidates or another's, and every pairing gains `doubt` nats given the rest.
+
+    Then match (m,), the probability of each decision (m,) and L; base gains are own (m,) + odds (n,).
+    """
+    m = start.shape[0] - 1
+    match, used, k = np.full(m, -1, np.int64), np.zeros(odds.shape[0], np.bool_), 0
+    for i in range(m):
+        if start[i + 1] > start[i]:
+            j = columns[start[i]]
+            if start[i + 1] > start[i] + 1 or used[j]:
+                return False, match, odds, 0.0
+            match[i], used[j], k = j, True, k + 1
+    rows = np.flatnonzero(match >= 0)
+    L, y = np.empty((2 * k, 2 * k)), np.empty(2 * k)
+    if not _factor(L, y, rows, match, nu, C, R):
+        return False, match, odds, 0.0
+    T, e = _inverted(L), np.zeros(2 * k)
+    chance, total = np.ones(m), 0.0
+    for c in range(2 * k):
+        total -= 0.5 * y[c] * y[c] + math.log(L[c, c])
+        for r in range(c, 2 * k):
+            e[c] += T[c, r] * y[r]
+    for b in range(k):
+        i, j, c = rows[b], match[rows[b]], 2 * b
+        q00, q01, q11 = 0.0, 0.0, 0.0  # the block of S^-1, whose inverse is the covariance given the others
+        for r in range(c, 2 * k):
+            q00 += T[c, r] * T[c, r]
+            q01 += T[c, r] * T[c + 1, r]
+            q11 += T[c + 1, r] * T[c + 1, r]
+        det = q00 * q11 - q01 * q01
+        d2 = (q11 * e[c] * e[c] - 2.0 * q01 * e[c] * e[c + 1] + q00 * e[c + 1] * e[c + 1]) / det
+        gain = own[i] + odds[j] - 0.5 * (d2 - math.log(det)) - LOG_2PI
+        if not gain >= doubt:
+            return False, match, odds, 0.0
+        chance[i] = 1.0 / (1.0 + math.exp(-gain))
+        total += own[i] + odds[j] - LOG_2PI
+    return True, match, chance, total
+
+
+@jit
+def _factor(L: Array, y: Array, rows: Array, match: Array, nu: Array, C: Array, R: Array) -> bool:
+    """Cholesky factor L of the joint S and y = L^-1 nu, in place; False where S is no covariance."""
+    for r in range(L.shape[0]):
+        i, u = rows[r // 2], r % 2
+        y[r] = nu[i, match[i], u]
+        for c in range(r + 1):
+            j, v = match[rows[c // 2]], c % 2
+            value = C[2 * match[i] + u, 2 * j + v] + (R[i, u, v] if rows[c // 2] == i else 0.0)
+            for q in range(c):
+                value -= L[r, q] * L[c, q]
+            if c < r:
+                L[r, c], L[c, r] = value / L[c, c], 0.0
+                y[r] -= L[r, c] * y[c]
+            elif value > 0.0:
+                L[r, r] = math.sqrt(value)
+            else:
+                return False
+        y[r] /= L[r, r]
+    return True
+
+
+@jit
+def _inverted(L: Array) -> Array:
+    """The inverse of a lower triangular matrix, transposed: row c holds its column c."""
+    T = np.zeros_like(L)
+    for c in range(L.shape[0]):
+        T[c, c] = 1.0 / L[c, c]
+        for r in range(c + 1, L.shape[0]):
+            value = 0.0
+            for q in range(c, r):
+                value -= L[r, q] * T[c, q]
+            T[c, r] = value / L[r, r]
+    return T

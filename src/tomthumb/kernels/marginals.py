@@ -12,6 +12,7 @@ from tomthumb.kernels.jit import jit
 Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
+HOPELESS = -40.0  # nats at a basin's pose: a draw from its widened Gaussian is too near to make it count
 
 
 @jit
@@ -67,53 +68,84 @@ def add_marginals(
 ) -> None:  # fmt: skip
     """Add `weight` times the marginals to p (m, n) and none (m,), in place."""
     chance, alone, _log_z = marginals(gains, start, columns, p.shape[1], rounds)
+    _blend(p, none, weight, chance, alone, start, columns)
+
+
+@jit
+def spread_out(gains: Array, start: Array, columns: Array, n: int, rounds: int) -> tuple[Array, Array]:
+    """The marginals of one hypothesis as p (m, n) and none (m,)."""
+    p = np.zeros((start.shape[0] - 1, n))
+    chance, none, _log_z = marginals(gains, start, columns, n, rounds)
     for i in range(none.shape[0]):
-        none[i] += weight * alone[i]
         for k in range(start[i], start[i + 1]):
-            p[i, columns[k]] += weight * chance[k]
+            p[i, columns[k]] = chance[k]
+    return p, none
 
 
 @jit
 def integrated(
-    steps: Array, centres: Array, factors: Array, starts: Array, offsets: Array, columns: Array, looks: Array,
-    q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array, gate2: float,
+    steps: Array, centres: Array, Ms: Array, wider: float, starts: Array, offsets: Array, columns: Array, gains: Array,
+    looks: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior: Array, gate2: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Marginals p (m, n) and none (m,) with the pose integrated out by importance sampling.
 
-    Poses are centres[b] + factors[b] steps[b, s]: a mixture of g Gaussians of equal weight. Given the pose the pairings
-    are independent but for being one-to-one; each pose weighs its prior times the sum over all assignments (Bethe) over
-    the mixture's density. Basin b lists its candidates in columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1),
-    with what `looks` adds to their gains.
+    Poses are drawn from an equal mixture of g Gaussians at centres (g, 3), covariance wider^2 Ms^-1, by the standard
+    normal steps (g, S, 3). Given the pose the pairings are independent but for being one-to-one; each pose weighs its
+    prior times the sum over all assignments (Bethe) over the mixture's density. Basin b lists its candidates in
+    columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1), with their `gains` at its pose, no gate applied (the
+    hopeless are left out), and what `looks` adds to gains.
     """
     g, S, m, n = steps.shape[0], steps.shape[1], q.shape[0], points.shape[0]
     logs, alone, done = np.empty(g * S), np.empty((g * S, m)), 0
-    chances = np.empty(S * columns.shape[0])
+    chances, p, none = np.empty(S * columns.shape[0]), np.zeros((m, n)), np.zeros(m)
+    factors = np.empty((g, 3, 3))
     for b in range(g):
-        mine = columns[offsets[b] : offsets[b + 1]]
+        factors[b] = wider * np.linalg.cholesky(np.linalg.inv(Ms[b]))
+        starts[b] = _shortened(starts[b], offsets[b], columns, looks, gains)
+    for b in range(g):
+        mine = columns[offsets[b] : offsets[b] + starts[b, m]]
         W, worth = _forms(starts[b], mine, R, D, base, odds)
-        worth += looks[offsets[b] : offsets[b + 1]]
+        worth += looks[offsets[b] : offsets[b] + mine.shape[0]]
         for s in range(S):
             pose = centres[b] + _turned(factors[b], steps[b, s])
-            gains = _at_pose(pose, W, worth, q, points, starts[b], mine, gate2)
-            chance, alone[b * S + s], log_z = marginals(gains, starts[b], mine, n, 10)
+            here = _at_pose(pose, W, worth, q, points, starts[b], mine, gate2)
+            chance, alone[b * S + s], log_z = marginals(here, starts[b], mine, n, 10)
             chances[done : done + mine.shape[0]] = chance
             done += mine.shape[0]
-            back = _turned(prior_inverse, pose)
-            prior = -0.5 * (back[0] * pose[0] + back[1] * pose[1] + back[2] * pose[2])
-            logs[b * S + s] = prior + log_z - _mixture(pose, centres, factors)
+            back = _turned(prior, pose)
+            before = -0.5 * (back[0] * pose[0] + back[1] * pose[1] + back[2] * pose[2])
+            logs[b * S + s] = before + log_z - _mixture(pose, centres, factors)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    p, none, done = np.zeros((m, n)), np.zeros(m), 0
+    done = 0
     for b in range(g):
-        mine = columns[offsets[b] : offsets[b + 1]]
+        mine = columns[offsets[b] : offsets[b] + starts[b, m]]
         for s in range(S):
-            weight = weights[b * S + s]
-            for i in range(m):
-                none[i] += weight * alone[b * S + s, i]
-                for k in range(starts[b, i], starts[b, i + 1]):
-                    p[i, mine[k]] += weight * chances[done + k]
+            _blend(p, none, weights[b * S + s], chances[done:], alone[b * S + s], starts[b], mine)
             done += mine.shape[0]
     return p, none
+
+
+@jit
+def _shortened(start: Array, at: int, columns: Array, looks: Array, gains: Array) -> Array:
+    """New starts of a basin's lists without pairings HOPELESS nats below "unpaired"; columns and looks close up, in place."""
+    shorter, count = np.zeros_like(start), 0
+    for i in range(start.shape[0] - 1):
+        for k in range(start[i], start[i + 1]):
+            if gains[at + k] > HOPELESS:
+                columns[at + count], looks[at + count] = columns[at + k], looks[at + k]
+                count += 1
+        shorter[i + 1] = count
+    return shorter
+
+
+@jit
+def _blend(p: Array, none: Array, weight: float, chance: Array, alone: Array, start: Array, columns: Array) -> None:
+    """Add `weight` times the marginals of listed pairings to p (m, n) and none (m,), in place."""
+    for i in range(none.shape[0]):
+        none[i] += weight * alone[i]
+        for k in range(start[i], start[i + 1]):
+            p[i, columns[k]] += weight * chance[k]
 
 
 @jit

@@ -94,17 +94,15 @@ def decomposed(
     noise_of, own, area = np.empty_like(R), np.empty((n, 2, 2)), np.empty(q.shape[0])
     noise = 0.0
     for i in range(q.shape[0]):
-        noise_of[i] = _between(Tq[i], R[i], 0, 0, Tq[i])
+        _turn(Tq[i], R[i], 0, 0, Tq[i], noise_of[i])
+        if polar:
+            _bent(q[i], noise_of[i], z[i, 0], Tq[i], R[i, 1, 1])
         noise += (noise_of[i, 0, 0] + noise_of[i, 1, 1]) / q.shape[0]
         area[i] = abs(Tq[i, 0, 0] * Tq[i, 1, 1] - Tq[i, 0, 1] * Tq[i, 1, 0])
     for j in range(n):
-        own[j] = _between(Tp[j], cov, 2 * j, 2 * j, Tp[j])
+        _turn(Tp[j], cov, 2 * j, 2 * j, Tp[j], own[j])
     some = np.argsort(p[:, 0] ** 2 + p[:, 1] ** 2, kind="mergesort")[:: max(1, n // (4 * most))][:most]
-    C = np.empty((some.shape[0], some.shape[0], 2, 2))
-    for a in range(some.shape[0]):
-        for b in range(some.shape[0]):
-            C[a, b] = _between(Tp[some[a]], cov, 2 * some[a], 2 * some[b], Tp[some[b]])
-    D = np.empty_like(own)
+    C, D = _sampled(cov, Tp, some), np.empty_like(own)
     for attempt in range(2):
         if attempt == 0:
             known, Xi = _from_pose(p, Tp, pose_cov, cross)
@@ -116,26 +114,51 @@ def decomposed(
 
 
 @jit
-def _between(A: Array, M: Array, r: int, c: int, B: Array) -> Array:
-    """A M[r:r+2, c:c+2] B'."""
-    out = np.empty((2, 2))
+def _sampled(cov: Array, T: Array, some: Array) -> Array:
+    """Covariance (s, s, 2, 2) between the sampled predictions, Cartesian."""
+    k = some.shape[0]
+    C, out = np.empty((k, k, 2, 2)), np.empty((2, 2))
+    for a in range(k):
+        for b in range(a + 1):
+            _turn(T[some[a]], cov, 2 * some[a], 2 * some[b], T[some[b]], out)
+            for s in range(2):
+                for t in range(2):
+                    C[a, b, s, t] = C[b, a, t, s] = out[s, t]
+    return C
+
+
+@jit
+def _bent(q: Array, noise: Array, r: float, T: Array, variance: float) -> None:
+    """What an arc lies beside its tangent, along the line of sight: r v / 2 on average, r v / sqrt 2 about that.
+
+    v is the variance of the bearing; taken off the point and put into its covariance, in place. Far off with a coarse
+    bearing it counts. Reference: D. Lerro, Y. Bar-Shalom, IEEE T-AES 29(3), 1993 (debiased conversion).
+    """
+    for s in range(2):
+        q[s] -= 0.5 * r * variance * T[s, 0]
+    more = 0.5 * (r * variance) ** 2
+    for s in range(2):
+        for t in range(2):
+            noise[s, t] += more * T[s, 0] * T[t, 0]
+
+
+@jit
+def _turn(A: Array, M: Array, r: int, c: int, B: Array, out: Array) -> None:
+    """out = A M[r:r+2, c:c+2] B'."""
     for s in range(2):
         x = A[s, 0] * M[r, c] + A[s, 1] * M[r + 1, c]
         y = A[s, 0] * M[r, c + 1] + A[s, 1] * M[r + 1, c + 1]
         for t in range(2):
             out[s, t] = x * B[t, 0] + y * B[t, 1]
-    return out
 
 
 @jit
-def _lever(p: Array, Xi: Array, other: Array) -> Array:
-    """B_p Xi B_other' (2, 2), B = [I | (-y, x)']: what a common motion makes of two points."""
-    a, b = np.empty((2, 3)), np.empty((2, 2))
-    for c in range(3):
-        a[0, c], a[1, c] = Xi[0, c] - p[1] * Xi[2, c], Xi[1, c] + p[0] * Xi[2, c]
-    for r in range(2):
-        b[r, 0], b[r, 1] = a[r, 0] - other[1] * a[r, 2], a[r, 1] + other[0] * a[r, 2]
-    return b
+def _lever(p: Array, Xi: Array, other: Array) -> tuple[float, float, float, float]:
+    """B_p Xi B_other' by rows, B = [I | (-y, x)']: what a common motion makes of two points."""
+    a0, a1, a2 = Xi[0, 0] - p[1] * Xi[2, 0], Xi[0, 1] - p[1] * Xi[2, 1], Xi[0, 2] - p[1] * Xi[2, 2]
+    b0, b1, b2 = Xi[1, 0] + p[0] * Xi[2, 0], Xi[1, 1] + p[0] * Xi[2, 1], Xi[1, 2] + p[0] * Xi[2, 2]
+    x, y = other[0], other[1]
+    return a0 - y * a2, a1 + x * a2, b0 - y * b2, b1 + x * b2
 
 
 @jit
@@ -209,11 +232,13 @@ def _explained(C: Array, Xi: Array, p: Array, noise: float, remainder: float) ->
     k = p.shape[0]
     own = np.empty(k)
     for a in range(k):
-        moved = _lever(p[a], Xi, p[a])
-        own[a] = max(C[a, a, 0, 0] - moved[0, 0] + C[a, a, 1, 1] - moved[1, 1], 0.0)
+        m00, _, _, m11 = _lever(p[a], Xi, p[a])
+        own[a] = max(C[a, a, 0, 0] - m00 + C[a, a, 1, 1] - m11, 0.0)
     for a in range(k):
         for b in range(a):
-            apart = np.abs(C[a, b] - _lever(p[a], Xi, p[b])).sum()
+            m00, m01, m10, m11 = _lever(p[a], Xi, p[b])
+            apart = abs(C[a, b, 0, 0] - m00) + abs(C[a, b, 0, 1] - m01)
+            apart += abs(C[a, b, 1, 0] - m10) + abs(C[a, b, 1, 1] - m11)
             if not apart <= remainder * (own[a] + own[b] + 2.0 * noise):
                 return False
     return True
@@ -223,9 +248,9 @@ def _explained(C: Array, Xi: Array, p: Array, noise: float, remainder: float) ->
 def _left(own: Array, Xi: Array, p: Array, lowest: float, D: Array) -> bool:
     """D (n, 2, 2) = own - B Xi B', in place, no eigenvalue below FLOOR; False when one is not above `lowest`."""
     for j in range(own.shape[0]):
-        moved = _lever(p[j], Xi, p[j])
-        a, d = own[j, 0, 0] - moved[0, 0], own[j, 1, 1] - moved[1, 1]
-        b = 0.5 * (own[j, 0, 1] - moved[0, 1] + own[j, 1, 0] - moved[1, 0])
+        m00, m01, m10, m11 = _lever(p[j], Xi, p[j])
+        a, d = own[j, 0, 0] - m00, own[j, 1, 1] - m11
+        b = 0.5 * (own[j, 0, 1] - m01 + own[j, 1, 0] - m10)
         half = math.sqrt(0.25 * (a - d) ** 2 + b * b)
         small, large = 0.5 * (a + d) - half, 0.5 * (a + d) + half
         if not small > lowest:

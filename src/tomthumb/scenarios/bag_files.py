@@ -9,16 +9,21 @@ from __future__ import annotations
 import bz2
 import io
 import os
+import re
+import sqlite3
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+from urllib.parse import quote
 
 from tomthumb.errors import BrokenFile
 
 MCAP, ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 MCAP_CHUNK, ROS1_CHUNK = 0x06, 0x05
 MAX_CHUNK = 128 << 20  # bytes of one chunk unpacked; recorders write 1 to 16 MiB
+MAX_FILE = 8 << 30  # bytes of a file packed as a whole, which the reader unpacks onto the disk
 MAX_YAML = 1 << 20
 BLOCK = 1 << 16
 
@@ -52,14 +57,37 @@ class _Bounded(io.BufferedReader):
 
 
 def check_bag(path: Path) -> None:
-    """Unpack every compressed chunk of a bag (a file or a folder) once, in bounded memory.
+    """Unpack once, in bounded memory, all that is compressed in a bag (a file or a folder): chunks, messages, files.
 
-    Raises BrokenFile for a chunk of more than MAX_CHUNK bytes; whatever else is wrong is the reader's to find.
+    Raises BrokenFile for a chunk or a message of more than MAX_CHUNK bytes, a file of more than MAX_FILE; whatever else
+    is wrong is the reader's to find.
     """
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if file.is_file():
-            with open(file, "rb") as stream:
-                _check_chunks(stream, file)
+        if not file.is_file():
+            continue
+        with open(file, "rb") as stream:
+            if file.suffix == ".zst" and _unfolds(stream, file.stat().st_size, b"zstd", MAX_FILE):
+                raise BrokenFile(file, f"more than {MAX_FILE >> 30} GiB when unpacked")
+            _check_chunks(stream, file)
+        if file.suffix == ".db3" and _packs_messages(file.with_name("metadata.yaml")):
+            _check_messages(file)
+
+
+def _packs_messages(metadata: Path) -> bool:
+    """Whether a bag's metadata says that each message is compressed on its own."""
+    if not metadata.is_file() or metadata.stat().st_size > MAX_YAML:
+        return False
+    return re.search(rb"compression_mode\W+message", metadata.read_bytes(), re.IGNORECASE) is not None
+
+
+def _check_messages(file: Path) -> None:
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(file))}?immutable=1", uri=True)) as base:
+            for (data,) in base.execute("SELECT data FROM messages"):
+                if isinstance(data, bytes) and _unfolds(io.BytesIO(data), len(data), b"zstd", MAX_CHUNK):
+                    raise BrokenFile(file, f"a message of more than {MAX_CHUNK >> 20} MiB when unpacked")
+    except sqlite3.Error:  # the reader meets it again and says what is wrong
+        return
 
 
 def _check_chunks(stream: io.BufferedReader, file: Path) -> None:
@@ -70,8 +98,7 @@ def _check_chunks(stream: io.BufferedReader, file: Path) -> None:
         return
     for compression, at, length in chunks(stream, size):
         stream.seek(at)
-        unpack = _unpacker(compression)
-        if unpack is not None and _unfolds(stream, length, unpack):
+        if _unfolds(stream, length, compression, MAX_CHUNK):
             raise BrokenFile(file, f"a chunk of more than {MAX_CHUNK >> 20} MiB when unpacked, at byte {at}")
 
 
@@ -136,15 +163,18 @@ def _unpacker(compression: bytes) -> Callable[[bytes, int], bytes] | None:
     return None
 
 
-def _unfolds(stream: io.BufferedReader, length: int, unpack: Callable[[bytes, int], bytes]) -> bool:
-    """Whether the `length` bytes that follow unpack to more than MAX_CHUNK; False too where they do not unpack."""
+def _unfolds(stream: IO[bytes], length: int, compression: bytes, most: int) -> bool:
+    """Whether the `length` bytes that follow unpack to more than `most`; False too where they do not unpack."""
+    unpack = _unpacker(compression)
+    if unpack is None:
+        return False
     total = 0
     try:
         while length > 0 and (block := stream.read(min(BLOCK, length))):
             length -= len(block)
             while part := unpack(block, 16 * BLOCK):
                 total, block = total + len(part), b""
-                if total > MAX_CHUNK:
+                if total > most:
                     return True
     except Exception:  # of many kinds, by library; the reader meets it again and says what is wrong
         return False

@@ -21,6 +21,7 @@ from tomthumb.scenarios.params import accepted, convert
 from tomthumb.types import Scenario
 
 GROUP = "tomthumb.scenarios"
+WORDS = 500  # characters of a message about a path
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +191,20 @@ def load(spec: str, seed: int = 0, **params: Any) -> Scenario:
         return call(_function(known[kind].function), kind, Path(path), seed, given)
     if _is_code(plain):
         return call(_function(plain), plain, None, seed, given)
-    if Path(plain).exists():
+    if _there(Path(plain)):
         entry = recognise(Path(plain))
         return call(_function(entry.function), entry.name, Path(plain), seed, given)
     if "/" in plain or Path(plain).suffix:
         raise TomThumbError(f"{plain}: no such file or folder")
     raise UnknownName("scenario", kind, known)
+
+
+def _there(path: Path) -> bool:
+    """Whether there is such a path; False too for one that cannot be, being too long or not ours to look at."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
 
 
 def call(function: Callable[..., Any], name: str, path: Path | None, seed: int, given: Mapping[str, Any]) -> Scenario:
@@ -214,7 +223,12 @@ def call(function: Callable[..., Any], name: str, path: Path | None, seed: int, 
     missing = [k for k, p in wants.items() if p.default is inspect.Parameter.empty and k not in arguments]
     if missing:
         raise TomThumbError(f"{name}: {', '.join(missing)} must be given")
-    made = function(**arguments)
+    try:
+        made = function(**arguments)
+    except OSError as error:
+        if path is None:
+            raise  # no file of ours to blame: the function's own fault to show
+        raise TomThumbError(f"{name}: {error.filename or path}: {error.strerror or error}"[:WORDS]) from None
     if not isinstance(made, Scenario):
         raise TomThumbError(f"{name} gave a {type(made).__name__}, not a Scenario")
     return made

@@ -103,7 +103,7 @@ def _matrix(reader: _Reader) -> Any:
     parts = list(reader.elements())
     if len(parts) < 3:
         return np.empty((0, 0))
-    flags = int(np.frombuffer(parts[0][1], reader.order + "u4")[0])
+    flags = _first(parts[0][1], reader.order + "u4")
     shape = tuple(int(k) for k in np.frombuffer(parts[1][1], reader.order + "i4"))
     if not 2 <= len(shape) <= 4 or min(shape) < 0:
         raise ValueError(f"a matrix of shape {shape}")
@@ -116,6 +116,14 @@ def _matrix(reader: _Reader) -> Any:
     if kind == CHAR or kind in NUMERIC:
         return _numbers(reader, rest, shape, kind)
     raise ValueError(f"a matrix of class {kind}, which is not supported")
+
+
+def _first(content: memoryview, code: str) -> int:
+    """The first integer of an element."""
+    values = np.frombuffer(content, code)
+    if not len(values):
+        raise ValueError("an element without content")
+    return int(values[0])
 
 
 def _numbers(reader: _Reader, parts: list[tuple[int, memoryview]], shape: tuple[int, ...], kind: int) -> Any:
@@ -133,7 +141,9 @@ def _numbers(reader: _Reader, parts: list[tuple[int, memoryview]], shape: tuple[
 
 
 def _structs(reader: _Reader, parts: list[tuple[int, memoryview]], count: int) -> Any:
-    width = int(np.frombuffer(parts[0][1], reader.order + "i4")[0])
+    if len(parts) < 2:
+        raise ValueError("a struct without field names")
+    width = _first(parts[0][1], reader.order + "i4")
     if width <= 0:
         raise ValueError("a struct with field names of no length")
     raw = bytes(parts[1][1])

@@ -219,9 +219,9 @@ def messages(bag: Path, topics: set[str], *, tf: bool) -> Iterator[tuple[str, fl
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
         raise TomThumbError("bags need rosbags: pip install 'tomthumb[ros]'") from None
-    if not bag.exists():
-        raise BrokenFile(bag, "no such bag")
     try:
+        if not bag.exists():
+            raise BrokenFile(bag, "no such bag")
         check_bag(bag)
         with AnyReader([BoundedPath(bag)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             there = {c.topic for c in reader.connections}

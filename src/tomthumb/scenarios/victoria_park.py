@@ -13,6 +13,7 @@ from tomthumb.errors import BrokenFile
 from tomthumb.geometry import wrap
 from tomthumb.models.motion import Ackermann
 from tomthumb.models.sensor import RangeBearing
+from tomthumb.scenarios.matfile import load_mat
 from tomthumb.scenarios.reading import (
     MAX_VALUES,
     increasing,
@@ -35,6 +36,7 @@ STD = (0.11, math.radians(0.33))
 CONTROL_STD, POSE_STD = (0.4, math.radians(2.5)), (0.03, 0.03, math.radians(0.25))
 MAX_RANGE, FOV, DETECT = 75.0, math.radians(170.0), 0.2  # most trees within 75 m are hidden by others or too thin
 CLUTTER = 1e-4  # 0.9 detections without a tree a scan, over some 8000 m2
+AA3_START = 20967.0  # ms: the first GPS fix, which the text files count from, on the clock of aa3_dr.mat
 BEAM, BEAMS = math.radians(0.5), 361
 LONGEST_GAP = 0.5  # s between the batch solution's poses
 
@@ -50,28 +52,33 @@ class Seen:
     diameter: Array
 
 
-def victoria_park(path: Path, *, detections: Literal["published", "raw"] = "published") -> Scenario:
+def victoria_park(
+    path: Path,
+    *,
+    detections: Literal["published", "raw"] = "published",
+    odometry: Literal["drs", "aa3"] = "drs",
+) -> Scenario:
     """The whole log: a folder with raw_acfr/victoria_park_ascii.zip, features/ and derived/.
 
     `detections`: "published" are those of ACFR's own detector, with the trunk's diameter as signature; "raw" finds the
     trunks in LASER.txt with our detector. Ids are rows of the 299 trees of the reference association; a detection
     without one is not scored (-2), since it need not be clutter. The truth is the batch solution, at the rear axle.
 
-    Odometry is DRS.txt, whose steering is better calibrated than that of aa3_dr.mat. ``info["gps"] (n, 3)`` holds the
-    fixes (t s, east m, north m; of about the laser's point). Raises BrokenFile where a file is missing or wrong.
+    `odometry`: "drs" is DRS.txt, whose steering is better calibrated than that of the other record of the same drive,
+    "aa3" (aa3_dr.mat), which reads some 5 % too little. ``info["gps"] (n, 3)`` holds the fixes (t s, east m, north m; of
+    about the laser's point). Raises BrokenFile where a file is missing or wrong.
     """
     folder = Path(path) if Path(path).is_dir() else Path(path).parent
     archive = folder / "raw_acfr" / "victoria_park_ascii.zip"
-    odometry = table(read_member(archive, "DRS.txt"), f"{archive}/DRS.txt", 3)
+    readings = _odometry(folder, archive, odometry)
     gps = table(read_member(archive, "GPS.txt"), f"{archive}/GPS.txt", 3)[:, [0, 2, 1]]
-    for name, times in (("DRS.txt", odometry[:, 0]), ("GPS.txt", gps[:, 0])):
-        increasing(times, f"{archive}/{name}", first_line=1)
+    increasing(gps[:, 0], f"{archive}/GPS.txt", first_line=1)
     landmarks, row = _landmarks(folder)
     seen = _published(folder, row) if detections == "published" or row else None
     if detections == "raw":
         seen = _raw(archive, seen)
     assert seen is not None
-    if not len(odometry) or not len(seen.scans.t):
+    if not len(readings) or not len(seen.scans.t):
         raise BrokenFile(folder, "holds no odometry or no scans")
     truth = _truth(folder, seen.scans.t)
     start = float(seen.scans.t[0])
@@ -87,10 +94,26 @@ def victoria_park(path: Path, *, detections: Literal["published", "raw"] = "publ
         motion=Ackermann(std=CONTROL_STD, pose_std=POSE_STD),
         sensor=RangeBearing(max_range=MAX_RANGE, fov=FOV, mount=LASER, std=STD, detect=DETECT, clutter=CLUTTER),
         prior=Prior(first, np.zeros((3, 3))),
-        steps=steps(timeline(odometry[:, 0], seen.scans.t, start), odometry[:, 1:], scan),
+        steps=steps(timeline(readings[:, 0], seen.scans.t, start), readings[:, 1:], scan),
         landmarks=landmarks,
-        info={"file": str(folder), "detections": detections, "gps": gps},
+        info={"file": str(folder), "detections": detections, "odometry": odometry, "gps": gps},
     )
+
+
+def _odometry(folder: Path, archive: Path, record: str) -> Array:
+    """Time s (from the first GPS fix), speed m/s and steering angle rad (n, 3) of one of the two records."""
+    if record == "drs":
+        rows = table(read_member(archive, "DRS.txt"), f"{archive}/DRS.txt", 3)
+        increasing(rows[:, 0], f"{archive}/DRS.txt", first_line=1)
+        return rows
+    file = folder / "raw_acfr" / "aa3_dr.mat"
+    names = ("time", "speed", "steering")
+    raw = load_mat(file, names)
+    ms, speed, steering = (np.asarray(raw[name], float).ravel() for name in names)
+    if not len(ms) == len(speed) == len(steering):
+        raise BrokenFile(file, f"time, speed and steering of {len(ms)}, {len(speed)} and {len(steering)} samples")
+    increasing(ms, file)
+    return np.column_stack([(ms - AA3_START) / 1e3, speed, steering])
 
 
 def _landmarks(folder: Path) -> tuple[Array | None, dict[int, int]]:

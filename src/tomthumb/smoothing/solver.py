@@ -32,8 +32,9 @@ KERNELS: dict[str, Kernel] = {
 }
 
 
-# Poses in time, then landmarks: the factor is a band and a border, which no general ordering improves on.
-IN_ORDER = {"SymmetricMode": True}
+# Minimum degree on the symmetric pattern. In time order every landmark met so far stays in the front: on Victoria Park
+# (7230 poses, 615 landmarks) that fills in 20 times more and takes 17 s a factor in place of 0.2 s.
+ORDER: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def _step(
 
     scale = diags_array(A.diagonal())
     while damping < 1e12:
-        factor = splu((A + damping * scale).tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options=IN_ORDER)
+        factor = splu((A + damping * scale).tocsc(), **ORDER)
         new = x - factor.solve(g)
         new_cost = _cost(graph, scales, new, kernel)
         if new_cost <= cost:

@@ -47,25 +47,24 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
 
     `near`: candidates of the anchors. gate2, gate3: chi-square values of 2 (a pairing) and 3 (a pose by the prior) dof.
     """
-    W, gain, worth, sigma, cell, apart, pairs, tolerance = flights.ready(
+    W, gain, worth, cell, apart, pairs, tolerance = flights.ready(
         s.q, s.R, s.D, s.base, s.odds, near.counts, budget.anchors
     )
     grid = flights.fill_grid(s.p, cell)
-    before: Array = np.asarray(np.linalg.inv(s.Xi), np.float64)
     poses, scores, tried, used = flights.explore(
-        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, before, gate3, cell, *grid, apart,
+        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, cell, *grid, apart,
         budget.basins, budget.poses, BEHIND,
     )  # fmt: skip
     poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
     reach = 1.5 * np.sqrt(gate2 * _widest(s))
     seen = (reach, s.p, cell, *grid, NO_LABELS if s.allowed is None else s.allowed)
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
-    ends, Ms, matches, values = motion.descend(poses, *args, before, reach, *seen[2:], gate2, apart, 3)
-    found = []
+    ends, Ms, matches, values = motion.descend(poses, *args, s.prior, reach, *seen[2:], gate2, apart, 3)
+    found: list[Basin] = []
     for k in _leaders(matches, values, budget.reach):
         listed = Window(*motion.local_candidates(poses[k], s.q, *seen))
         basin = _looked_over(s, ends[k], Ms[k], matches[k], values[k], listed, gate2)
-        found.append(untangled(s, basin, before) if len(found) < POLISHED else basin)
+        found.append(untangled(s, basin) if len(found) < POLISHED else basin)
     return found, {"poses": tried, "anchors": used, "proof": "truncated"}
 
 
@@ -98,15 +97,12 @@ def _looked_over(s: Rigid, pose: Array, M: Array, match: Ids, value: float, near
 def at_pose(s: Rigid, basin: Basin, gate2: float) -> Basin:
     """A hypothesis from the full covariance, with the pose that it implies."""
     near, args = basin.window, (s.q, s.R, s.p, s.D, s.base, s.odds)
-    pose, M, value, gains = motion.place(basin.match, *args, np.linalg.inv(s.Xi), near.start, near.columns, gate2)
+    pose, M, value, gains = motion.place(basin.match, *args, s.prior, near.start, near.columns, gate2)
     return Basin(basin.match, value + s.of_match(basin.match), gains + s.of_looks(near), near, pose, M)
 
 
-def untangled(s: Rigid, basin: Basin, before: Array) -> Basin:
-    """The basin with the best assignment at its pose, and the pose of that, until it stays: greedy leaves pairs swapped.
-
-    before (3, 3): inverse covariance of the motion.
-    """
+def untangled(s: Rigid, basin: Basin) -> Basin:
+    """The basin with the best assignment at its pose, and the pose of that, until it stays: greedy leaves pairs swapped."""
     assert basin.pose is not None
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
     near, pose, best = basin.window, basin.pose, basin
@@ -117,7 +113,7 @@ def untangled(s: Rigid, basin: Basin, before: Array) -> Basin:
         match = assigned(gains, near)
         if np.array_equal(match, best.match):
             break
-        pose, M, value = motion.fit(pose, match, *args, before, 2)
+        pose, M, value = motion.fit(pose, match, *args, s.prior, 2)
         if value + s.of_match(match) <= best.value:
             break
         best = _looked_over(s, pose, M, match, value, near, np.inf)

@@ -7,15 +7,20 @@ from scipy.optimize import linear_sum_assignment
 
 from tomthumb.associators.tom_thumb.basins import Basin
 from tomthumb.associators.tom_thumb.scene import Rigid
-from tomthumb.kernels import marginals
+from tomthumb.kernels import marginals, motion
 from tomthumb.protocols import Rng
 from tomthumb.types import Array, Ids
 
+ROUNDS = 50  # of belief propagation, at most
 WIDER = 1.5  # poses are drawn from each basin's Gaussian, so many times wider: a weight must not explode in the tails
 
 
 def mixed_marginals(found: list[Basin], n: int) -> tuple[Array, Array]:
     """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins, each by its weight."""
+    if len(found) == 1:
+        near, gains = found[0].window, found[0].gains
+        alone: tuple[Array, Array] = marginals.spread_out(gains, near.start, near.columns, n, ROUNDS)
+        return alone
     weights = np.exp(np.array([b.value for b in found]) - found[0].value)
     weights /= weights.sum()
     m = len(found[0].match)
@@ -23,7 +28,7 @@ def mixed_marginals(found: list[Basin], n: int) -> tuple[Array, Array]:
     for basin, weight in zip(found, weights, strict=True):
         if weight >= 1e-4:
             near = basin.window
-            marginals.add_marginals(p, none, weight, basin.gains, near.start, near.columns, 50)
+            marginals.add_marginals(p, none, weight, basin.gains, near.start, near.columns, ROUNDS)
     return p, none
 
 
@@ -35,17 +40,22 @@ def sampled_marginals(
     `samples` poses are drawn around each basin's, from a mixture of the basins' Gaussians, widened; each is weighed by
     its prior times the sum over all assignments (Bethe), divided by the mixture's density (deterministic mixture weights).
     """
-    centres = np.array([b.pose for b in found])
-    factors = WIDER * np.linalg.cholesky(np.linalg.inv(np.array([b.M for b in found])))
+    centres, Ms = np.array([b.pose for b in found]), np.array([b.M for b in found])
     starts = np.array([b.window.start for b in found])
     offsets = np.concatenate([[0], np.cumsum(starts[:, -1])])
     columns = np.concatenate([b.window.columns for b in found])
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds)
     looks = np.concatenate([s.of_looks(b.window) for b in found])
+    gains = looks + np.concatenate(
+        [
+            motion.pose_gains(b.pose, P, *args, b.window.start, b.window.columns, np.inf)
+            for b, P in zip(found, np.linalg.inv(Ms), strict=True)
+        ]
+    )
     steps = rng.standard_normal((len(found), samples, 3))
     p, none = marginals.integrated(
-        steps, centres, factors, starts, offsets, columns, looks, s.q, s.R, s.p, s.D, s.base, s.odds, np.linalg.inv(s.Xi),
-        gate2,
-    )  # fmt: skip
+        steps, centres, Ms, WIDER, starts, offsets, columns, gains, looks, *args, s.prior, gate2
+    )
     return p, none
 
 
@@ -67,3 +77,10 @@ def chances(match: Ids, p: Array, none: Array) -> Array:
     """Probability (m,) of each decision of a match."""
     chance: Array = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
     return chance
+
+
+def soberly(match: Ids, chance: Array, none: Array, bold: float) -> Array:
+    """Probability (m,) of each decision with the `bold` nats that every pairing was given taken from its own again."""
+    more = none * np.expm1(bold)
+    sober: Array = np.where(match >= 0, chance, chance * np.exp(bold)) / (1.0 + more)
+    return sober

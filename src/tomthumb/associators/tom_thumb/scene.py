@@ -7,10 +7,10 @@ independent given the motion, and large motions need no linearisation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from tomthumb.associators.nearest import log_odds
 from tomthumb.kernels import scene as kernel
@@ -38,8 +38,8 @@ class Window:
 class Rigid:
     """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
 
-    allowed (m, n): pairings whose labels do not contradict each other, or None without labels. evidence (m, n): what is
-    added to the gains of pairings for their looks, or None.
+    prior (3, 3) is the inverse of Xi; allowed (m, n): pairings whose labels do not contradict each other, or None without
+    labels. evidence (m, n): what is added to the gains of pairings for their looks, or None.
     """
 
     q: Array
@@ -49,6 +49,7 @@ class Rigid:
     Xi: Array
     base: Array
     odds: Array
+    prior: Array
     allowed: Mask | None = None
     evidence: Array | None = None
 
@@ -82,9 +83,14 @@ def base_table(problem: AssociationProblem) -> Array:
     return weighed(base[:, None] + odds[None], problem.evidence)
 
 
+def gate_of_two(gate: float) -> float:
+    """The chi-square value of a gate, 2 degrees of freedom."""
+    return -2.0 * math.log1p(-gate)
+
+
 def window(d2: Array, gate: float) -> Window:
     """Every landmark within `gate` of each observation, nearest first."""
-    return Window(*kernel.candidates(d2, float(chdtri(2, 1.0 - gate))))
+    return Window(*kernel.candidates(d2, gate_of_two(gate)))
 
 
 def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:
@@ -106,7 +112,10 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         problem.z, problem.R, given.z_hat, np.ascontiguousarray(given.cov), pose_cov, cross, bool(problem.angles),
         SAMPLE, REMAINDER,
     )  # fmt: skip
-    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, problem.allowed, problem.evidence) if good else None
+    if not good:
+        return None
+    prior = np.linalg.inv(Xi)
+    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, prior, problem.allowed, problem.evidence)
 
 
 def lever(p: Array) -> Array:

@@ -1,7 +1,7 @@
 """Simulated Tom Thumb names the landmarks: the joint posterior, searched by the family.
 
     0  window      candidates of each observation
-    1  quick path  a scan without ambiguity is done at once (branch and bound then takes one node an observation)
+    1  quick path  a scan in which nobody has two candidates, and no gain leaves a doubt, is done at once
     2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
     4  boots: stagnation makes the ruins larger
@@ -15,23 +15,26 @@ hypotheses met: that is what maximises the expected number of right decisions, a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
-from tomthumb.associators.tom_thumb.basins import Basin, Budget, anchored, at_pose, distinct
-from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, rigid, weighed, window
-from tomthumb.kernels import posterior
-from tomthumb.kernels.left_out import left_out_gains
+from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
+from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals, soberly
+from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
+from tomthumb.kernels import marginals, posterior
+from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
 from tomthumb.tale.stdp import LogMemory
 from tomthumb.types import Array, Association, AssociationProblem, Ids, Lessons
 
-SMALL, FEW = 30, 8.0  # observations, and mean number of candidates, up to which the certificate is tried first
+Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
+SMALL = 30  # observations from which a scan is large
+CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
+FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -45,7 +48,9 @@ class TomThumb:
     budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
-    or there are several basins within `reach` nats. hard: mean number of candidates from which pose basins are searched.
+    or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
+    to be done at once (0: never). courage: nats that a pairing gains on top in an ambiguous scan. hard: mean number of
+    candidates from which a scan is ambiguous and pose basins are searched.
     memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
     landmarks are remembered.
     """
@@ -65,6 +70,8 @@ class TomThumb:
     samples: int = 48
     reach: float = 7.0
     sure: float = 0.98
+    quick: float = 4.0
+    courage: float = 1.4
     hard: float = 1.5
     memory: bool = False
     recent: float = 3.0
@@ -84,16 +91,33 @@ class TomThumb:
         prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
         own, odds = base_gains(problem, prior)
         near = window(problem.weighed_d2, self.gates[1])
-        base = weighed(own[:, None] + odds, problem.evidence)
-        found, info = self._within(problem, near, base, rng) if self._is_small(near) else ([], NOTHING_YET)
-        if not self._is_hard(near):
-            found, info = (found, info) if found else self._within(problem, near, base, rng)
-            return self._decided(found, info, *mixed_marginals(found, n))
-        if info["proof"] == "optimal" and len(found) == 1:
+        cov = np.ascontiguousarray(problem.predictions.cov)
+        if self._may_be_quick(problem, near):
+            clear, match, chance, value = unambiguous(
+                problem.innovation, cov, problem.R, own, odds, near.start, near.columns, self.quick
+            )
+            if clear:
+                return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
+        hard = self._is_hard(near)
+        bold = self.courage if hard and self.decide != "map" else 0.0
+        own = own + bold  # hypotheses of few pairs are many in an ambiguous scan: see docs/stt.md
+        given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
+        if self.decide == "map":
+            return self._mode(problem, given, near, own, odds, rng)
+        found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
+        proven = info["proof"] == "optimal"
+        if found:
             p, none = mixed_marginals(found, n)
-            if self._is_sure(p, none):
-                return self._decided(found, info, p, none)
-        return self._over_poses(problem, near, base, found, info, rigid(problem, own, odds), rng)
+            if self._is_settled(
+                found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
+            ):
+                return self._decided(found, info, p, none, bold)
+        scene = rigid(problem, own, odds)
+        if scene is not None:
+            return self._over_poses(scene, near, found if proven or not hard else [], info, bold, rng)
+        if not found:
+            found, info = self._within(given, near, rng)
+        return self._decided(found, info, *mixed_marginals(found, n), bold)
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -108,73 +132,118 @@ class TomThumb:
         """See `protocols.Learner`."""
         self.lessons.remind(lessons)
 
+    def _may_be_quick(self, problem: AssociationProblem, near: Window) -> bool:
+        """The quick path knows no looks and no first gate."""
+        few = near.start[-1] <= len(problem.z)
+        return bool(few and self.quick > 0.0 and problem.evidence is None and self.gates[0] >= self.gates[1])
+
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
         m = len(near.start) - 1
         return m >= 3 and (near.start[-1] > self.hard * m or m > SMALL)
 
-    def _is_small(self, near: Window) -> bool:
-        """Small enough for the certificate: it comes first there, and settles most scans."""
+    def _is_small(self, near: Window, most: int) -> bool:
+        """Small enough for the certificate to come first."""
         m = len(near.start) - 1
-        return bool(m <= SMALL and near.start[-1] <= FEW * m)
+        return bool(m <= most and near.start[-1] <= FEW * m)
 
-    def _is_sure(self, p: Array, none: Array) -> bool:
-        """Every decision is so probable that it need not be looked at more closely."""
-        return float(np.maximum(p.max(1), none).min()) >= self.sure
+    def _is_settled(self, best: Basin, p: Array, none: Array, sure: float) -> bool:
+        """Every decision is at least so probable, and together they are the best hypothesis.
+
+        Where two observations contend for two landmarks, gains given all the others may favour the exchange of both.
+        """
+        match, chance, free = marginals.pick(p, none, self.least)
+        return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, problem: AssociationProblem, near: Window, base: Array, found: list[Basin], info: dict[str, Any],
-        scene: Rigid | None, rng: Rng,
-    ) -> Sequence[Association]:  # fmt: skip
-        """Pose basins where the certificate has not settled the scan, and the decision with the pose integrated out."""
-        m, n = problem.shape
+        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], bold: float, rng: Rng
+    ) -> Sequence[Association]:
+        """The decision with the pose integrated out, over the hypotheses known, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
-        if scene is None:
-            found, info = (found, info) if found else self._within(problem, near, base, rng)
-            return self._decided(found, info, *mixed_marginals(found, n))
-        exact = found[0] if found else None
-        if info["proof"] == "optimal":
-            found = [at_pose(scene, b, gate2) for b in found]
-        else:
-            budget = Budget(self.anchors, self.basins, self.poses, self.reach)
-            found, info = anchored(scene, near, gate2, gate3, budget)
-        if self.decide == "map":
-            pass
+        found = [at_pose(scene, b, gate2) for b in known]
+        if not found:
+            found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        p, none = mixed_marginals(found, n)
-        if self.samples and (len(found) > 1 or not self._is_sure(p, none)):
+        p, none = mixed_marginals(found, len(scene.p))
+        if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
-        return self._decided(found, info, p, none)
+        return self._decided(found, info, p, none, bold)
+
+    def _budget(self) -> Budget:
+        return Budget(self.anchors, self.basins, self.poses, self.reach)
+
+    def _mode(
+        self, problem: AssociationProblem, given: Given, near: Window, own: Array, odds: Array, rng: Rng
+    ) -> Sequence[Association]:  # fmt: skip
+        """The most probable hypothesis: proven on the full covariance, else the best that anchors and flights lead to.
+
+        Beyond the certificate's size it is the best over rigid motions, where the search went over poses.
+        """
+        gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
+        found, info = self._within(given, near, rng) if self._is_small(near, SMALL) else ([], NOTHING_YET)
+        if self._is_hard(near) and info["proof"] == "truncated":
+            scene = rigid(problem, own, odds)
+            others, spent = anchored(scene, near, gate2, gate3, self._budget()) if scene is not None else ([], {})
+            if found:
+                found, info = self._polished([b.match for b in [*found, *others]], given, near, gate2, rng, info)
+            else:
+                found, info = distinct(others, self.reach), spent
+        if not found:
+            found, info = self._within(given, near, rng)
+        return self._decided(found, info, *mixed_marginals(found, len(odds)), 0.0)
+
+    def _polished(
+        self, matches: list[Ids], given: Given, near: Window, gate2: float, rng: Rng, info: dict[str, Any]
+    ) -> tuple[list[Basin], dict[str, Any]]:
+        """Levy flights from each of the best hypotheses, by L on the full covariance, and the certificate once more."""
+        by_value = {tuple(a.tolist()): (float(posterior.value_of(a, *given)[0]), a) for a in matches}
+        ranked = sorted(by_value.values(), key=lambda pair: -pair[0])[:POLISHED]
+        flown = [self._flown(match, value, given, near, gate2, rng) for value, match in ranked]
+        match, value, _ = max(flown, key=lambda f: f[1])
+        m = len(match)
+        pool, values = np.full((POOL, m), -1, np.int64), np.full(POOL, -np.inf)
+        bound = posterior.most_possible(near.start, near.columns, given[3], given[2])
+        nodes, proven = posterior.search(
+            *given, bound, *posterior.rank(near.start, near.columns), np.full(m + 1, np.inf), match, value,
+            self.ambiguity, self.nodes, pool, values,
+        )  # fmt: skip
+        spent = {"nodes": info["nodes"] + nodes, "flights": sum(f[2] for f in flown)}
+        return self._kept(pool, values, given, near), {**info, **spent, "proof": "optimal" if proven else "truncated"}
 
     # --- 1, 3, 5: on the full covariance --------------------------------------------------------------------------
 
-    def _within(
-        self, problem: AssociationProblem, near: Window, base: Array, rng: Rng
-    ) -> tuple[list[Basin], dict[str, Any]]:
+    def _within(self, given: Given, near: Window, rng: Rng) -> tuple[list[Basin], dict[str, Any]]:
         """Greedy, certificate, and Levy flights where the certificate's budget did not suffice."""
-        given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base)
-        gate2 = float(chdtri(2, 1.0 - self.gates[1]))
+        gate2 = gate_of_two(self.gates[1])
         pool, values, nodes, proven = posterior.solve(
             *given, near.start, near.columns, gate2, self.ambiguity, self.nodes, POOL
         )
         info: dict[str, Any] = {"nodes": nodes, "flights": 0, "proof": "optimal" if proven else "truncated"}
         if not proven and self.flights and not self._is_hard(near):
-            lengths, uniform = (
-                power_law(self.exponent, len(pool[0])).draw(rng, self.flights),
-                rng.random((self.flights, 2)),
-            )
-            pool[0], values[0], info["flights"] = posterior.ruin(
-                pool[0], values[0], *given, near.start, near.columns, gate2, lengths, uniform, self.patience
-            )
+            pool[0], values[0], info["flights"] = self._flown(pool[0], values[0], given, near, gate2, rng)
         core = self._core(pool[0], given, near)
         if core is not None:
             match, total = posterior.complete(core, *given, near.start, near.columns, gate2)
             if not np.array_equal(match, pool[0]):  # the best is in a pose basin that the first gate rules out
                 return [_left_out(match, total, given, near)], {**info, "proof": "first gate"}
-        keep = np.flatnonzero(values > values[0] - self.ambiguity)[:4]
-        return [_left_out(pool[k], float(values[k]), given, near) for k in keep], info
+        return self._kept(pool, values, given, near), info
+
+    def _kept(self, pool: Ids, values: Array, given: Given, near: Window) -> list[Basin]:
+        """The hypotheses within `ambiguity` nats, four at most."""
+        some = list(zip(pool[:4], values[:4].tolist(), strict=True))
+        return [_left_out(match, value, given, near) for match, value in some if value > some[0][1] - self.ambiguity]
+
+    def _flown(
+        self, match: Ids, value: float, given: Given, near: Window, gate2: float, rng: Rng
+    ) -> tuple[Ids, float, int]:
+        """Levy flights from a hypothesis: the best met, its L, and the flights made."""
+        lengths, uniform = power_law(self.exponent, len(match)).draw(rng, self.flights), rng.random((self.flights, 2))
+        found: tuple[Ids, float, int] = posterior.ruin(
+            match, value, *given, near.start, near.columns, gate2, lengths, uniform, self.patience
+        )
+        return found
 
     def _core(self, best: Ids, given: Given, near: Window) -> Ids | None:
         """Where the best hypothesis fails the joint test at the first gate: the best that passes it, if of two pairs or more.
@@ -199,13 +268,18 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(self, found: list[Basin], info: dict[str, Any], p: Array, none: Array) -> Sequence[Association]:
-        """The decision by its probabilities, and what was found beside it."""
+    def _decided(
+        self, found: list[Basin], info: dict[str, Any], p: Array, none: Array, bold: float
+    ) -> Sequence[Association]:
+        """The decision by its probabilities, and what was found beside it; L and confidence without the courage in them."""
+        found = [replace(b, value=b.value - bold * int((b.match >= 0).sum())) for b in found] if bold else found
         best = found[0]
         if self.decide == "map":
             match, chance = best.match, chances(best.match, p, none)
         else:
             match, chance = most_probable(p, none, self.least)
+        if bold:
+            chance = soberly(match, chance, none, bold)
         first = Association(match, best.value, {**info, "objective": best.value, "basins": len(found)}, chance)
         return [first, *self._brothers(found[1:], best.value, match)] if len(found) > 1 else [first]
 
@@ -213,9 +287,6 @@ class TomThumb:
         """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
         near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
         return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
-
-
-Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predictions, R, base gains
 
 
 def _left_out(match: Ids, value: float, given: Given, near: Window) -> Basin:
