@@ -58,12 +58,13 @@ def closure(
     if np.count_nonzero(born > since) < king.votes:
         return None
     whole = estimator.estimate(branch.belief)
-    young, old = _parted(whole, branch, since, loops)
+    young, old = _parted(whole, branch, since, loops, doubt is not None)
     if min(young.sum(), old.sum()) < king.votes:
         return None
     away = _away(branch, whole, old, loops, scan - since)
+    away.believed = doubt is not None
     q = whole.landmarks[young]
-    found = fits(q, np.tile((SLACK * noise) ** 2 * np.eye(2), (len(q), 1, 1)), away.old.landmarks)
+    found = fits(q, np.tile((SLACK * noise) ** 2 * np.eye(2), (len(q), 1, 1)), away.old.landmarks, np.zeros(3))
     if doubt is None:
         found = [fit for fit in found if _drifted(fit, branch, whole, away, loops)]
         king = replace(king, rival=1.0)  # the drift has ruled out the other places already
@@ -74,31 +75,31 @@ def closure(
     return Closure(Return(found[chosen], whole.ids[young], named), since)
 
 
-def _parted(whole: Estimate, branch: Branch, since: int, loops: Loops) -> tuple[Mask, Mask]:
-    """The youngest stones born after `since`, and those not seen after it."""
+def _parted(whole: Estimate, branch: Branch, since: int, loops: Loops, doubt: bool) -> tuple[Mask, Mask]:
+    """The youngest stones born after `since`, and those not seen after it; in doubt all that were born before."""
     lives = [branch.ledger[i] for i in whole.ids.tolist()]
     born, seen = np.array([life.born for life in lives]), np.array([life.seen for life in lives])
     fresh = np.flatnonzero(whole.stone & (born > since))
     young = np.zeros(len(born), bool)
     young[fresh[np.argsort(-born[fresh], kind="stable")][: loops.stars]] = True
-    return young, whole.stone & (seen <= since)
+    return young, whole.stone & ((born if doubt else seen) <= since)
 
 
 def _away(branch: Branch, whole: Estimate, old: Mask, loops: Loops, scans: int) -> Exile:
     part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
     exist = np.array([branch.ledger[i].exist for i in part.ids.tolist()])
     poses = trail(branch, scans)
-    return Exile(branch, part, exist, believed=False, trail=poses[:: max(1, len(poses) // loops.poses)])
+    return Exile(branch, part, exist, believed=False, trail=poses[:: -max(1, len(poses) // loops.poses)][::-1])
 
 
 def trail(branch: Branch, scans: int) -> list[Array]:
-    """Poses of the last scans, the last one first."""
+    """Poses of the last scans, the last one at the end."""
     poses: list[Array] = []
     node = branch.history
     while node is not None and len(poses) < scans:
         node, _, pose = node
         poses.append(pose)
-    return poses
+    return poses[::-1]
 
 
 def _drifted(fit: Fit, branch: Branch, whole: Estimate, away: Exile, loops: Loops) -> bool:

@@ -21,6 +21,7 @@ SURE = 0.95  # no landmark is seen more surely than that
 LEAK = 0.95  # per scan: doubts that nothing feeds are forgotten
 SCANS, TAIL = 10, 1e-3  # of the windowed test of NIS
 DOUBT = 6.0  # nats: worth a look whether this is a place that is known
+PATIENCE = 40  # scans after which a doubt that came to nothing is dropped
 ALARM = 12.0  # nats: one false alarm in 10^5 independent looks
 
 
@@ -43,7 +44,7 @@ class Watch:
         against = float(np.log((1.0 - BY_CHANCE * here[missed]) / (1.0 - here[missed])).sum())
         share = min(1.0, unexplained / max(int(missed.sum()), 1))
         self.level = LEAK * self.level + share * against + float(seen.sum()) * math.log(BY_CHANCE)
-        if self.level <= 0.0:
+        if self.level <= 0.0 or (self.level < DOUBT and scan - self.since > PATIENCE):
             self.level, self.peak, self.since = 0.0, 0.0, scan
         self.peak = max(self.peak, self.level)
 

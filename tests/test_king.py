@@ -1,0 +1,155 @@
+"""Lost robots: the watch calls, the king carries home, and where nobody can know he waits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tomthumb
+from tomthumb.errors import TomThumbError
+from tomthumb.metrics.evaluation import evaluate
+from tomthumb.runner import collect, prepare
+from tomthumb.scenarios.cloister import cloister
+from tomthumb.scenarios.kidnap import kidnapped
+from tomthumb.watch import Consistency, Watch
+
+KING = {"slam": {"king": True}}
+
+
+def jittered(seed: int, at: int, to: int):
+    return kidnapped(cloister(np.random.default_rng(seed), laps=3, jitter=0.2), at, to)
+
+
+def told(scenario, associator: str = "stt", steps: int | None = None, **settings):
+    """The run's trace, and what was told of the king: (step, word)."""
+    slam = prepare(scenario, associator=associator, settings=settings or KING)
+    records = []
+    for step in list(scenario.steps)[:steps]:
+        records.append(slam.step(step.t, step.control, step.observations))
+    words = [(r.index, r.info["king"]) for r in records if "king" in r.info]
+    return collect(scenario.name, slam, records), words, slam
+
+
+@pytest.mark.parametrize(("seed", "at", "to"), [(0, 222, 313), (1, 234, 376), (2, 200, 241), (10, 203, 295)])
+def test_a_kidnapped_robot_comes_home_and_all_names_are_right_again(seed, at, to):
+    scenario = jittered(seed, at, to)
+    trace, words, _ = told(scenario)
+    home = [k for k, word in words if word in ("home", "loop")]
+    assert len(home) == 1
+    assert at < home[0] <= at + 20
+    gap = np.hypot(*(trace.pose[-1, :2] - scenario.steps[-1].truth.pose[:2]))
+    assert gap < 0.15
+    row = evaluate(trace, scenario)
+    assert row["duplicates"] == 0
+    assert row["match_rate"] > 0.97
+
+
+@pytest.mark.parametrize("associator", ["nn", "jcbb"])
+def test_the_king_serves_every_associator(associator):
+    _, words, _ = told(jittered(1, 234, 376), associator, steps=260)
+    assert "home" in [word for _, word in words]
+
+
+def test_a_doubt_that_nothing_settles_is_settled_by_a_constellation():
+    """The robot believes to walk into the open, where nothing old can be missed."""
+    scenario = jittered(44, 200, 263)
+    trace, words, _ = told(scenario, steps=230)
+    assert [word for _, word in words] == ["loop"]
+    assert np.hypot(*(trace.pose[-1, :2] - scenario.steps[229].truth.pose[:2])) < 0.1
+
+
+@pytest.mark.parametrize(("seed", "at", "to"), [(5, 230, 355), (8, 215, 339), (19, 224, 268)])
+def test_in_a_world_that_turns_into_itself_no_place_is_accepted(seed, at, to):
+    scenario = kidnapped(cloister(np.random.default_rng(seed), laps=3), at, to)
+    trace, words, slam = told(scenario, steps=at + 60)
+    assert words
+    assert {word for _, word in words} == {"away"}
+    assert slam.court.exile is not None
+    assert len(trace.final.ids) > len(slam.court.exile.old.ids)  # the old map is not lost
+
+
+@pytest.mark.parametrize("options", [{}, {"people": 30}, {"odometry_noise": 4.0}, {"detect": 0.5, "clutter": 5.0}])
+def test_who_is_not_lost_does_not_flee(options):
+    scenario = cloister(np.random.default_rng(7), laps=2, **options)
+    with_king, words, _ = told(scenario)
+    without, _, _ = told(scenario, slam={"king": False})
+    assert not words
+    np.testing.assert_array_equal(with_king.ids, without.ids)
+
+
+@pytest.mark.parametrize("frozen", [True, False])
+def test_a_start_anywhere_in_a_known_map(frozen):
+    world = cloister(np.random.default_rng(4), jitter=0.2)
+    known = tomthumb.run(world, associator="jcbb").final
+    steps = list(world.steps)[57:]
+    steps[0] = replace(steps[0], control=None)
+    scenario = replace(world, steps=steps)
+    slam = prepare(scenario, associator="stt", settings={"slam": {"lost": True, "frozen": frozen}}, start_map=known)
+    for step in steps[:20]:
+        record = slam.step(step.t, step.control, step.observations)
+    assert slam.court.exile is None
+    assert np.hypot(*(record.pose[:2] - steps[19].truth.pose[:2])) < 0.15
+    if frozen:
+        assert slam.estimate().stone.sum() == known.stone.sum()
+
+
+def test_to_be_lost_needs_a_map():
+    with pytest.raises(TomThumbError, match="needs a map to be lost in"):
+        prepare(cloister(np.random.default_rng(0)), settings={"slam": {"lost": True}})
+
+
+def test_the_particle_filter_is_carried_home_too():
+    scenario = jittered(1, 234, 376)
+    slam = prepare(scenario, associator="jcbb", estimator="fastslam", settings={**KING, "estimator": {"particles": 20}})
+    for step in list(scenario.steps)[:250]:
+        record = slam.step(step.t, step.control, step.observations)
+    assert slam.court.exile is None
+    assert np.hypot(*(record.pose[:2] - scenario.steps[249].truth.pose[:2])) < 0.3
+
+
+def test_kidnapping_leaves_steps_out_and_time_goes_on():
+    world = cloister(np.random.default_rng(0))
+    taken = kidnapped(world, 10, 50)
+    assert len(taken.steps) == len(world.steps) - 39
+    assert taken.steps[11].observations is world.steps[50].observations
+    t = np.array([step.t for step in taken.steps])
+    assert (np.diff(t) > 0).all()
+    back = kidnapped(world, 100, 20)
+    assert (np.diff([step.t for step in back.steps]) > 0).all()
+    with pytest.raises(TomThumbError, match="kidnap 500:3"):
+        kidnapped(world, 500, 3)
+
+
+def test_the_watch_needs_both_what_is_missing_and_what_is_strange():
+    chance, none = np.full(6, 0.95), np.zeros(6, bool)
+    blind, abroad, lost = Watch(), Watch(), Watch()
+    for scan in range(10):
+        blind.look(chance, none, 0, scan)
+        abroad.look(chance[:0], none[:0], 8, scan)
+        lost.look(chance, none, 6, scan)
+    assert not blind.lost
+    assert not abroad.lost
+    assert lost.lost
+
+
+def test_the_watch_weighs_by_log_ratios_and_remembers_since_when():
+    watch = Watch()
+    watch.look(np.array([0.9]), np.array([True]), 0, 3)
+    assert (watch.level, watch.since) == (0.0, 3)
+    watch.look(np.array([0.9]), np.array([False]), 1, 4)
+    assert watch.level == pytest.approx(np.log((1 - 0.3 * 0.9) / (1 - 0.9)))
+    assert watch.since == 3
+
+
+def test_nis_is_tested_on_both_sides():
+    rng = np.random.default_rng(0)
+    right, loud, quiet = Consistency(), Consistency(), Consistency()
+    for _ in range(10):
+        nis = rng.chisquare(12)
+        right.record(nis, 12)
+        loud.record(2.0 * nis, 12)
+        quiet.record(0.3 * nis, 12)
+    assert [c.verdict for c in (right, loud, quiet)] == ["fine", "surprised", "timid"]
+    assert Consistency().verdict == "fine"
