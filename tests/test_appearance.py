@@ -191,17 +191,18 @@ def test_the_teacher_knows_better_than_any_gate():
     assert found.match.tolist() == [0, 2, 4, 6]
 
 
-def rate(associator, world, **slam):
-    hard = {"odometry_noise": 12.0, "jitter": 0.4, "spacing": 1.0}
-    scenario = tomthumb.load("cloister", seed=5, **hard, **world)
-    trace = tomthumb.run(scenario, associator=associator, estimator="iekf", settings={"slam": slam})
+def rate(associator, world, seed, **slam):
+    scenario = tomthumb.load("cloister", seed=seed, **world)
+    trace = tomthumb.run(scenario, associator=associator, settings={"slam": slam})
     return tomthumb.evaluate(trace, scenario)["match_rate"]
 
 
 def test_diameters_help_where_places_alone_do_not_tell():
-    assert rate("jcbb", {"diameter_std": 0.02}, signature="gate") > rate("jcbb", {}) + 0.01
+    hard = {"odometry_noise": 12.0, "jitter": 0.4, "spacing": 1.0, "diameter_std": 0.02}
+    assert rate("jcbb", hard, 5, signature="gate") > rate("jcbb", hard, 5) + 0.01
 
 
 def test_confused_classes_hurt_less_when_they_are_weighed():
-    world = {"classes": 4, "confusion": 0.1}
-    assert rate("stt", world, confusion=0.1) > rate("stt", world) + 0.1
+    world, seeds = {"odometry_noise": 8.0, "classes": 4, "confusion": 0.1}, (1, 2, 3)
+    gain = [rate("stt", world, seed, confusion=0.1) - rate("stt", world, seed) for seed in seeds]
+    assert np.mean(gain) > 0.03

@@ -22,7 +22,7 @@ MAY = {
     "associators": BASE | {"tale"},
     "appearance": BASE,
     "lifecycle": BASE | {"appearance"},
-    "slam": BASE | {"appearance", "branches", "lifecycle", "checks", "sensing"},
+    "slam": BASE | {"appearance", "branches", "lifecycle", "checks", "sensing", "court", "king", "revision", "watch"},
     "metrics": BASE,
 }
 

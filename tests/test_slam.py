@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import tomthumb
 from tomthumb.associators.jcbb import JointCompatibility
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.estimators.ekf import EKF
+from tomthumb.estimators.ekf import EKF, InvariantEKF
 from tomthumb.models.motion import OdometryIncrement, Velocity
 from tomthumb.models.sensor import Cartesian, RangeBearing
 from tomthumb.runner import prepare
@@ -45,7 +45,7 @@ def test_an_increment_is_not_extrapolated():
 def test_the_stream_is_the_step_in_a_loop():
     one, other = (tomthumb.load("cloister", seed=5) for _ in range(2))
     trace = tomthumb.run(one, associator="jcbb", seed=5)
-    slam = Slam(other.motion, other.sensor, other.prior, JointCompatibility(), EKF(other.motion, other.sensor))
+    slam = Slam(other.motion, other.sensor, other.prior, JointCompatibility(), InvariantEKF(other.motion, other.sensor))
     poses = [slam.step(s.t, s.control, s.observations).pose for s in other.steps]
     assert_allclose(trace.pose, poses, atol=1e-12)
 
