@@ -42,7 +42,7 @@ class King:
     lead: float = 10.0
     rival: float = 0.75
     home: float = 12.0
-    drift: tuple[float, float] = (0.1, 0.03)
+    drift: tuple[float, float] = (0.05, 0.03)
     every: int = 1
 
 

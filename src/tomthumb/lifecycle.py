@@ -31,7 +31,7 @@ class LifeCycle:
 
     hits: int = 5
     few: int = 2
-    anchors: int = 3
+    anchors: int = 2
     patience: int = 100
     gate: float = 0.99
     apart: float = 0.9999

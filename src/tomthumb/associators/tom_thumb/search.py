@@ -71,7 +71,7 @@ class TomThumb:
     reach: float = 7.0
     sure: float = 0.98
     quick: float = 4.0
-    courage: float = 1.4
+    courage: float = 0.0
     hard: float = 1.5
     memory: bool = False
     recent: float = 3.0
@@ -107,7 +107,7 @@ class TomThumb:
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
         proven = info["proof"] == "optimal"
         if found:
-            p, none = mixed_marginals(found, n)
+            p, none = mixed_marginals(found, n, bold)
             if self._is_settled(
                 found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
             ):
@@ -117,7 +117,7 @@ class TomThumb:
             return self._over_poses(scene, near, found if proven or not hard else [], info, bold, rng)
         if not found:
             found, info = self._within(given, near, rng)
-        return self._decided(found, info, *mixed_marginals(found, n), bold)
+        return self._decided(found, info, *mixed_marginals(found, n, bold), bold)
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -166,9 +166,9 @@ class TomThumb:
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        p, none = mixed_marginals(found, len(scene.p))
+        p, none = mixed_marginals(found, len(scene.p), bold)
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
-            p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
+            p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng, bold)
         return self._decided(found, info, p, none, bold)
 
     def _budget(self) -> Budget:
