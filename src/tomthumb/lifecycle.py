@@ -38,7 +38,6 @@ class LifeCycle:
     purge: float = 0.35
     trial: int = 8
     in_view: float = 0.9
-    proven: int = 10
     merge: bool = True
     reference: bool = False
     signature: str = "off"
@@ -136,13 +135,9 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
     """Stones that ought to have been seen, and crumbs that faded."""
     if policy.reference:
         return np.empty(0, np.int64)
-    gone = [i for i in stones if _doubtful(ledger[i], policy) and ledger[i].static < policy.proven]
+    gone = [i for i in stones if ledger[i].chances >= policy.trial and ledger[i].exist < policy.purge]
     gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
     return np.array(gone, np.int64)
-
-
-def _doubtful(life: Life, policy: LifeCycle) -> bool:
-    return life.chances >= policy.trial and life.exist < policy.purge
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:

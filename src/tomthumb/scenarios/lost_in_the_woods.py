@@ -61,10 +61,7 @@ def lost_in_the_woods(path: Path, *, r_max: float = math.inf) -> Scenario:
             std=(float(stds[0]), float(stds[1])),
             detect=0.94 if r_max <= 2.0 else 0.6,
             clutter=1e-3,
-            memory=(
-                0.0,
-                0.0,
-            ),  # twice the measured correlation lengths of the residuals: 1.5 m in range, 0.3 m in bearing
+            memory=(0.0, 0.3),  # m: the correlation length of the bearing residuals (see docs/estimators.md)
         ),
         prior=Prior(poses[0], np.zeros((3, 3))),
         steps=Steps(len(t), step),
