@@ -153,3 +153,10 @@ def test_nis_is_tested_on_both_sides():
         quiet.record(0.3 * nis, 12)
     assert [c.verdict for c in (right, loud, quiet)] == ["fine", "surprised", "timid"]
     assert Consistency().verdict == "fine"
+
+
+def test_any_scenario_can_be_told_to_kidnap():
+    taken = tomthumb.load("cloister", laps=3, kidnap="200:300")
+    assert taken.info["kidnapped"] == (200, 300)
+    with pytest.raises(TomThumbError, match="two steps are wanted"):
+        tomthumb.load("cloister", kidnap="200")

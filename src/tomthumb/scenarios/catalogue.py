@@ -174,12 +174,23 @@ def load(spec: str, seed: int = 0, **params: Any) -> Scenario:
 
     A name from the catalogue; ``kind:path?key=value&...``; a folder or file, recognised by what it holds; a simulator
     or loader of your own as ``package.module:function`` or ``./file.py:function``. `params` (text or values) join those
-    of the spec and win over them; a key ending in ``_deg`` is turned to radians. `seed` feeds simulators.
+    of the spec and win over them; a key ending in ``_deg`` is turned to radians. `seed` feeds simulators. Any scenario
+    takes ``kidnap="AT:TO"``: after step AT the robot is carried to step TO (`scenarios.kidnap`).
 
     Raises UnknownName for names, TomThumbError for parameters and paths that do not fit, BrokenFile for broken files.
     """
     plain, query = _split(spec)
     given = {**query, **params}
+    kidnap = given.pop("kidnap", None)
+    made = _found(plain, given, seed)
+    if kidnap is None:
+        return made
+    from tomthumb.scenarios.kidnap import carried_away
+
+    return carried_away(made, str(kidnap))
+
+
+def _found(plain: str, given: Mapping[str, Any], seed: int) -> Scenario:
     kind, _, path = plain.partition(":")
     known = BUILT_IN if kind in BUILT_IN else entries()  # looking for plug-ins takes longer than loading a small log
     if plain in known:

@@ -28,3 +28,11 @@ def kidnapped(scenario: Scenario, at: int, to: int) -> Scenario:
 def _gap(steps: list[Step]) -> float:
     """Seconds between two steps, on average."""
     return (steps[-1].t - steps[0].t) / max(len(steps) - 1, 1)
+
+
+def carried_away(scenario: Scenario, text: str) -> Scenario:
+    """`kidnapped` by a text "AT:TO". Raises TomThumbError."""
+    at, colon, to = text.partition(":")
+    if not (colon and at.isdigit() and to.isdigit()):
+        raise TomThumbError(f"kidnap={text}: two steps are wanted, AT:TO")
+    return kidnapped(scenario, int(at), int(to))
