@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tomthumb.protocols import Sensor
-from tomthumb.types import Array, Ids, Mask
+from tomthumb.types import Array, Ids, Mask, Observations
 
 EDGES = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0])  # m: rings, about a factor 1.5 each
+STILL = 1e-4  # m: a scan at rest still counts for that much
 SECTORS = 6  # of 30 deg off the axis, left and right alike
 
 
@@ -93,3 +94,16 @@ def area_in_view(sensor: Sensor) -> float:
     """Plane in view, m2; a sensor without limit of range is given 10 m, since only the order of magnitude matters."""
     reach = sensor.max_range if math.isfinite(sensor.max_range) else 10.0
     return 0.5 * sensor.fov * reach * reach
+
+
+def news(seen: Observations, memory: tuple[float, float], moved: float) -> Observations:
+    """The scan with its noise raised to what it adds: errors that repeat over `memory` m are not averaged away.
+
+    `moved`: m since the last scan. N scans within a correlation length hold the news of path / (2 length) independent
+    ones (AR(1) noise).
+    """
+    if not any(memory) or not math.isfinite(moved):
+        return seen
+    share = [min(1.0, max(moved, STILL) / length) if length > 0.0 else 1.0 for length in memory]
+    raised = 1.0 / np.sqrt(np.array(share))
+    return replace(seen, R=seen.R * np.outer(raised, raised))

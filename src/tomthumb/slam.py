@@ -25,7 +25,7 @@ from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.revision import Moment, Revision
-from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view
+from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
 from tomthumb.types import (
     Array,
     Association,
@@ -42,7 +42,6 @@ from tomthumb.types import (
 )
 
 TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
-STILL = 1e-4  # m: a scan at rest still counts for that much
 HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
 
@@ -148,23 +147,12 @@ class Slam:
         scale = self.surprise.scale
         return seen if scale == 1.0 else replace(seen, R=seen.R * scale)
 
-    def _news(self, seen: Observations) -> Observations:
-        """The scan with its noise raised to what it adds: errors that repeat over `memory` m are not averaged away.
-
-        N scans within a correlation length hold the news of path / (2 length) independent ones (AR(1) noise).
-        """
-        if not any(self.sensor.memory) or not math.isfinite(self.moved):
-            return seen
-        share = [min(1.0, max(self.moved, STILL) / length) if length > 0.0 else 1.0 for length in self.sensor.memory]
-        raised = 1.0 / np.sqrt(np.array(share))
-        return replace(seen, R=seen.R * np.outer(raised, raised))
-
     # --- association ------------------------------------------------------------------------------------------------
 
     def _take_in(self, seen: Observations, serials: Ids) -> tuple[float, dict[str, Any]]:
         begin = perf_counter()
         honest = self._honest(seen)
-        scan = Scan(seen, honest, self._news(honest), serials)
+        scan = Scan(seen, honest, news(honest, self.sensor.memory, self.moved), serials)
         children = [child for branch in self.branches for child in self._children(branch, scan)]
         children.sort(key=lambda c: -c[0].log_weight)
         children = children[: self.width]
