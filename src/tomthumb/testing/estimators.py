@@ -193,6 +193,20 @@ def forgets_and_merges(build: Build) -> None:
     assert bench.estimate().ids.tolist() == [0], f"after forgetting 2: {bench.estimate().ids}"
 
 
+def stands_where_it_is_carried(build: Build) -> None:
+    """`relocate` puts the robot elsewhere, as uncertain as told; the map stays where it was."""
+    bench = Bench.mapped(build)
+    before, elsewhere, cov = bench.estimate(), np.array([4.0, -3.0, 2.0]), np.diag([0.2, 0.1, 0.05]) ** 2
+    bench.belief = bench.estimator.relocate(bench.belief, elsewhere, cov)
+    pose, spread = bench.estimator.pose(bench.belief)
+    assert np.allclose(pose, elsewhere, atol=0.1), f"carried to {elsewhere}, but it stands at {pose}"
+    assert np.allclose(np.diag(spread), np.diag(cov), rtol=0.5), (
+        f"variances {np.diag(spread)} instead of {np.diag(cov)}"
+    )
+    after = bench.estimate()
+    assert np.allclose(after.landmarks, before.landmarks, atol=1e-9), "the map moved with the robot"
+
+
 def forks_do_not_share(build: Build) -> None:
     """What happens to a fork leaves the original as it was."""
     bench = Bench.mapped(build)
@@ -245,6 +259,7 @@ ESTIMATOR_CHECKS: tuple[Callable[[Build], None], ...] = (
     is_not_moved_by_crumbs,
     takes_an_empty_scan,
     forgets_and_merges,
+    stands_where_it_is_carried,
     forks_do_not_share,
     leaves_its_input_as_it_was,
     runs_the_same_from_the_same_seed,
