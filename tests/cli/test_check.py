@@ -11,7 +11,7 @@ def test_the_example_passes(tomthumb):
     assert len(EXAMPLE.read_text().splitlines()) < 40
     said = tomthumb("check", f"{EXAMPLE}:Mine")
     assert said.code == 0
-    assert "11 of 11 checks passed" in said.out
+    assert "12 of 12 checks passed" in said.out
 
 
 def test_parameters_can_be_given(tomthumb):

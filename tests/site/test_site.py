@@ -157,7 +157,7 @@ def test_the_grid_is_kept_with_its_rows(out: Path) -> None:
 
 def test_the_command_of_a_row_repeats_it(out: Path) -> None:
     text = command(read_rows(out)[1])
-    assert text.startswith("tomthumb run cloister --associator jcbb --estimator ekf --seed 0 --set ")
+    assert text.startswith("tomthumb run cloister --associator jcbb --estimator iekf --seed 0 --set ")
     assert "--set odometry_noise=2" in text
     assert "--set associator.gate=0.99" in text
 
