@@ -173,7 +173,7 @@ def test_rows_of_something_else(tmp_path: Path) -> None:
 def test_the_plan_says_what_is_missing(tmp_path: Path) -> None:
     bench(grid(seeds=2), tmp_path, Where(1, runner=RUNNER))
     with writing(journal_path(tmp_path)) as journal:
-        labels = {("ekf", a, "slam"): a for a in ("one", "two")}
+        labels = {("iekf", a, "slam"): a for a in ("one", "two")}
         journal.set_plan(grid(seeds=5).runs(), labels)
         assert journal.planned() == 10
         assert len(list(journal.rows())) == 4
