@@ -102,7 +102,7 @@ def test_to_be_lost_needs_a_map():
 
 def test_the_particle_filter_is_carried_home_too():
     scenario = jittered(1, 234, 376)
-    slam = prepare(scenario, associator="jcbb", estimator="fastslam", settings={**KING, "estimator": {"particles": 20}})
+    slam = prepare(scenario, associator="jcbb", estimator="fastslam", settings={**KING, "estimator": {"particles": 50}})
     for step in list(scenario.steps)[:250]:
         record = slam.step(step.t, step.control, step.observations)
     assert slam.court.exile is None
