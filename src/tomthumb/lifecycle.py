@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.appearance import Crowd, Looks, Weight
+from tomthumb.graves import Grave
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 
@@ -46,6 +47,11 @@ class LifeCycle:
     confusion: float = 0.0
 
     @property
+    def apart2(self) -> float:
+        """Squared distance within which two things may be one."""
+        return float(chdtri(2, 1.0 - self.apart))
+
+    @property
     def weight(self) -> Weight:
         """How looks count. Raises TomThumbError for values that cannot be."""
         return Weight(self.signature, self.signature_gate, self.stray, self.confusion)
@@ -59,7 +65,9 @@ class LifeCycle:
 class Life:
     """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks.
 
-    `seen` and `born`: scans of the last and the first sighting.
+    `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
+    returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
+    point (2,) m and covariance (2, 2).
     """
 
     seen: int
@@ -69,6 +77,9 @@ class Life:
     companions: set[int] = field(default_factory=set)
     looks: Looks = field(default_factory=Looks)
     born: int = 0
+    silence: float = 0.0
+    returned: int | None = None
+    place: tuple[Array, Array] | None = None
 
     @property
     def exist(self) -> float:
@@ -97,13 +108,25 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
         life.hits += 1.0
         life.chances += 1.0
         life.seen = scan
-        life.static += distance < gate2
+        life.static += bool(distance < gate2)
+        if life.silence >= policy.trial and life.returned is None:
+            life.returned = 0
+        if life.returned is not None:
+            life.returned += bool(distance < gate2)
+        life.silence = 0.0
+
+
+def record_places(ledger: Ledger, ids: Iterable[int], points: Array, covs: Array) -> None:
+    """Where landmarks were just seen: world points (k, 2) with covariances (k, 2, 2)."""
+    for i, point, cov in zip(ids, points, covs, strict=True):
+        ledger[i].place = (point, cov)
 
 
 def record_misses(ledger: Ledger, missed: Ids, chance: Array) -> None:
     """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
     for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
         ledger[i].chances += p
+        ledger[i].silence += p
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
@@ -135,9 +158,27 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
     """Stones that ought to have been seen, and crumbs that faded."""
     if policy.reference:
         return np.empty(0, np.int64)
-    gone = [i for i in stones if ledger[i].chances >= policy.trial and ledger[i].exist < policy.purge]
+    gone = [i for i in stones if _gone(ledger[i], policy)]
     gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
     return np.array(gone, np.int64)
+
+
+def _gone(life: Life, policy: LifeCycle) -> bool:
+    """A stone seen too seldom, unless it came back from an absence and was confirmed anew: what passes by does not."""
+    proven = life.returned is not None and life.returned >= policy.hits
+    return not proven and life.chances >= policy.trial and life.exist < policy.purge
+
+
+def graves(ledger: Ledger, gone: Ids) -> list[Grave]:
+    """What is remembered of landmarks that are given up."""
+    lives = [ledger[i] for i in gone.tolist()]
+    return [Grave(*life.place, life.static, life.returned or 0) for life in lives if life.place is not None]
+
+
+def risen(life: Life, grave: Grave, policy: LifeCycle) -> Life:
+    """A new landmark at a grave: it has come back, but must be seen `few` times more to be believed."""
+    static = life.static + min(grave.static, max(policy.hits - policy.few, 0))
+    return replace(life, static=static, returned=life.static + grave.returned)
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:

@@ -248,6 +248,7 @@ class Slam:
         hit = ids >= 0
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
+        self._places(branch, scan, ids, born)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
@@ -296,6 +297,23 @@ class Slam:
             branch.crumbs.add(int(scan.serials[row]))
         return founded[0] >= 0, told[0][1]
 
+    def _places(self, branch: Branch, scan: Scan, ids: Ids, born: Mask) -> None:
+        """Where each landmark of the scan was seen, and which of those just born stand at a grave."""
+        pose, P = self.estimator.pose(branch.belief)
+        ids = np.where(born, scan.serials, ids)
+        rows = np.flatnonzero(ids >= 0)
+        if not len(rows) or self.policy.reference:
+            return
+        points, Jp, Jz = self.sensor.locate(pose, scan.honest.z[rows])
+        covs = Jp @ P @ Jp.transpose(0, 2, 1) + Jz @ scan.honest.R[rows] @ Jz.transpose(0, 2, 1)
+        lifecycle.record_places(branch.ledger, ids[rows].tolist(), points, covs)
+        new = np.flatnonzero(born[rows])
+        at = branch.graves.at(points[new], covs[new], self.policy.apart2)
+        for k in np.flatnonzero(at >= 0):
+            i = int(ids[rows[new[k]]])
+            branch.ledger[i] = lifecycle.risen(branch.ledger[i], branch.graves.graves[at[k]], self.policy)
+        branch.graves = branch.graves.without(at[at >= 0])
+
     def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan) -> tuple[Ids, Ids]:
         """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1."""
         rows = np.flatnonzero(ids < 0)
@@ -323,6 +341,7 @@ class Slam:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
         gone = lifecycle.deaths(branch.ledger, expected, branch.crumbs, self.scan, self.policy)
         if len(gone):
+            branch.graves = branch.graves.and_buried(lifecycle.graves(branch.ledger, gone))
             branch.belief = self.estimator.forget(branch.belief, gone)
             branch.crumbs.difference_update(gone.tolist())
         for i in gone.tolist():
