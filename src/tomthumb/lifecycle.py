@@ -67,7 +67,7 @@ class Life:
 
     `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
     returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
-    point (2,) m and covariance (2, 2).
+    point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan.
     """
 
     seen: int
@@ -80,6 +80,7 @@ class Life:
     silence: float = 0.0
     returned: int | None = None
     place: tuple[Array, Array] | None = None
+    apart: dict[int, float] = field(default_factory=dict)
 
     @property
     def exist(self) -> float:
@@ -158,15 +159,24 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
     """Stones that ought to have been seen, and crumbs that faded."""
     if policy.reference:
         return np.empty(0, np.int64)
-    gone = [i for i in stones if _gone(ledger[i], policy)]
+    gone = [i for i in stones if _gone(ledger, i, policy)]
     gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
     return np.array(gone, np.int64)
 
 
-def _gone(life: Life, policy: LifeCycle) -> bool:
-    """A stone seen too seldom, unless it came back from an absence and was confirmed anew: what passes by does not."""
+def _gone(ledger: Ledger, i: int, policy: LifeCycle) -> bool:
+    """A stone seen too seldom. One that came back from an absence and was confirmed anew is only hidden, for what passes
+    by does not come back; unless it is the lesser of two beside each other that are never seen together.
+    """
+    life = ledger[i]
+    if life.chances < policy.trial or life.exist >= policy.purge:
+        return False
     proven = life.returned is not None and life.returned >= policy.hits
-    return not proven and life.chances >= policy.trial and life.exist < policy.purge
+    return not proven or any(j in ledger and _lesser(ledger, i, j) for j in life.apart)
+
+
+def _lesser(ledger: Ledger, i: int, j: int) -> bool:
+    return j not in ledger[i].companions and (ledger[i].hits, j) < (ledger[j].hits, i)
 
 
 def graves(ledger: Ledger, gone: Ids) -> list[Grave]:

@@ -26,6 +26,7 @@ from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
+from tomthumb.twins import record_apart
 from tomthumb.types import (
     Array,
     Association,
@@ -252,6 +253,7 @@ class Slam:
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
+            self._absorb(branch, predictions, set(ids[hit].tolist()), scan)
             self._merge(branch, predictions, set(ids[hit].tolist()))
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
@@ -281,6 +283,13 @@ class Slam:
             known = inside & predictions.stone
             self.court.look(branch, predictions.ids, known, seen, chance, len(scan), self.scan)
             self.detection.record(predictions.points[known], seen[known])
+
+    def _absorb(self, branch: Branch, predictions: Predictions, hit: set[int], scan: Scan) -> None:
+        """Of two stones that stand for one thing the one seen less is left out; where it was tells nothing."""
+        for keep, drop in record_apart(branch.ledger, predictions, hit, self.detection, scan.honest, self.policy):
+            if keep in branch.ledger and drop in branch.ledger:
+                branch.belief = self.estimator.forget(branch.belief, np.array([drop]))
+                self._inherit(branch, keep, drop)
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
         """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
@@ -356,6 +365,9 @@ class Slam:
     def unite(self, branch: Branch, keep: int, drop: int) -> None:
         """Two stones of a branch become one; the survivor inherits hits and companions."""
         branch.belief = self.estimator.merge(branch.belief, keep, drop)
+        self._inherit(branch, keep, drop)
+
+    def _inherit(self, branch: Branch, keep: int, drop: int) -> None:
         lost, life = branch.ledger.pop(drop), branch.ledger[keep]
         life.hits, life.chances, life.static = (
             life.hits + lost.hits,
