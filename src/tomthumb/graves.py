@@ -12,16 +12,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tomthumb.types import Array, Ids
+from tomthumb.types import Array, Ids, Mask
 
-MOST = 20_000  # graves that are kept, newest first: bounds memory only
-WEIGHTY = 2  # static sightings that leave a grave: a single one may be clutter
+MOST = 5000  # graves that are kept, newest first: bounds memory only
 
 
 @dataclass(frozen=True, slots=True)
 class Grave:
-    """A landmark given up: place (2,) m and covariance (2, 2) of its last sighting, static sightings in all and since it
-    first came back.
+    """A landmark given up: world point (2,) m and covariance (2, 2) of its last sighting, and its static sightings, in all
+    and since it first came back.
     """
 
     place: Array
@@ -32,7 +31,7 @@ class Grave:
 
 @dataclass(frozen=True, slots=True)
 class Graveyard:
-    """All graves of one branch. It never changes, so that branches may share it."""
+    """All graves of one branch, places (n, 2) and covs (n, 2, 2) beside them. It never changes, so branches may share it."""
 
     graves: tuple[Grave, ...] = ()
     places: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -40,30 +39,31 @@ class Graveyard:
 
     def and_buried(self, dead: Sequence[Grave]) -> Graveyard:
         """With those as well."""
-        kept = (*self.graves, *(g for g in dead if g.static >= WEIGHTY))[-MOST:]
-        return _of(kept) if len(kept) and kept[-1] is not (self.graves or (None,))[-1] else self
+        if not dead:
+            return self
+        places = np.concatenate([self.places, [grave.place for grave in dead]])
+        covs = np.concatenate([self.covs, [grave.cov for grave in dead]])
+        return Graveyard((*self.graves, *dead)[-MOST:], places[-MOST:], covs[-MOST:])
+
+    def without(self, indices: Ids) -> Graveyard:
+        """With those empty."""
+        if not len(indices):
+            return self
+        kept: Mask = np.ones(len(self.graves), bool)
+        kept[indices] = False
+        rest = tuple(grave for grave, stays in zip(self.graves, kept.tolist(), strict=True) if stays)
+        return Graveyard(rest, self.places[kept], self.covs[kept])
 
     def at(self, places: Array, covs: Array, gate2: float) -> Ids:
-        """The nearest grave (m,) by Mahalanobis distance within the gate of each place (m, 2), covariance (m, 2, 2); -1: none."""
+        """For places (m, 2) with covariances (m, 2, 2) the grave (m,) nearest by Mahalanobis distance within the gate; -1: none."""
         found = np.full(len(places), -1, np.int64)
         if not self.graves or not len(places):
             return found
-        gap = self.places[None] - places[:, None]
-        reach = np.sqrt(gate2 * (np.trace(covs, axis1=1, axis2=2).max() + np.trace(self.covs, axis1=1, axis2=2).max()))
         best = np.full(len(places), gate2)
-        for k, n in np.argwhere((np.abs(gap) < reach).all(2)):
+        gap = self.places[None] - places[:, None]
+        var = np.diagonal(covs, axis1=1, axis2=2)[:, None] + np.diagonal(self.covs, axis1=1, axis2=2)[None]
+        for k, n in np.argwhere((gap * gap < gate2 * var).all(2)):
             d2 = float(gap[k, n] @ np.linalg.solve(self.covs[n] + covs[k], gap[k, n]))
             if d2 < best[k]:
                 found[k], best[k] = n, d2
         return found
-
-    def without(self, indices: Ids) -> Graveyard:
-        """With those empty."""
-        gone = set(indices.tolist())
-        return _of(tuple(g for n, g in enumerate(self.graves) if n not in gone)) if gone else self
-
-
-def _of(graves: tuple[Grave, ...]) -> Graveyard:
-    if not graves:
-        return Graveyard()
-    return Graveyard(graves, np.array([g.place for g in graves]), np.array([g.cov for g in graves]))

@@ -24,7 +24,8 @@ class LifeCycle:
     hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
-    purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
+    purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
+    `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain.
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
@@ -38,6 +39,7 @@ class LifeCycle:
     apart: float = 0.9999
     purge: float = 0.35
     trial: int = 8
+    proof: int = 3
     in_view: float = 0.9
     merge: bool = True
     reference: bool = False
@@ -171,7 +173,7 @@ def _gone(ledger: Ledger, i: int, policy: LifeCycle) -> bool:
     life = ledger[i]
     if life.chances < policy.trial or life.exist >= policy.purge:
         return False
-    proven = life.returned is not None and life.returned >= policy.hits
+    proven = life.returned is not None and life.returned >= policy.proof
     return not proven or any(j in ledger and _lesser(ledger, i, j) for j in life.apart)
 
 
@@ -186,9 +188,21 @@ def graves(ledger: Ledger, gone: Ids) -> list[Grave]:
 
 
 def risen(life: Life, grave: Grave, policy: LifeCycle) -> Life:
-    """A new landmark at a grave: it has come back, but must be seen `few` times more to be believed."""
-    static = life.static + min(grave.static, max(policy.hits - policy.few, 0))
+    """A new landmark at a grave: it has come back. Two single sightings may be clutter both, so the first one never counts
+    towards confirmation, and `few` new ones are needed.
+    """
+    static = life.static + min(grave.static - 1, max(policy.hits - policy.few, 0))
     return replace(life, static=static, returned=life.static + grave.returned)
+
+
+def inherit(ledger: Ledger, keep: int, drop: int) -> None:
+    """Two landmarks become one: the survivor has the life of both."""
+    lost, life = ledger.pop(drop), ledger[keep]
+    life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
+    life.companions |= lost.companions
+    life.returned = max((r for r in (life.returned, lost.returned) if r is not None), default=None)
+    life.looks = life.looks.and_also(lost.looks)
+    life.seen = max(life.seen, lost.seen)
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:

@@ -24,6 +24,7 @@ from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
 from tomthumb.twins import record_apart
@@ -249,7 +250,8 @@ class Slam:
         hit = ids >= 0
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
-        self._places(branch, scan, ids, born)
+        here, names = self.estimator.pose(branch.belief), np.where(born, scan.serials, ids)
+        look_back(branch, here, self.sensor, scan.honest, names, born, self.policy)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
@@ -289,7 +291,7 @@ class Slam:
         for keep, drop in record_apart(branch.ledger, predictions, hit, self.detection, scan.honest, self.policy):
             if keep in branch.ledger and drop in branch.ledger:
                 branch.belief = self.estimator.forget(branch.belief, np.array([drop]))
-                self._inherit(branch, keep, drop)
+                self._united(branch, keep, drop)
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
         """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
@@ -305,23 +307,6 @@ class Slam:
             branch.ledger[int(scan.serials[row])] = Life(self.scan, looks=looks, born=self.scan)
             branch.crumbs.add(int(scan.serials[row]))
         return founded[0] >= 0, told[0][1]
-
-    def _places(self, branch: Branch, scan: Scan, ids: Ids, born: Mask) -> None:
-        """Where each landmark of the scan was seen, and which of those just born stand at a grave."""
-        pose, P = self.estimator.pose(branch.belief)
-        ids = np.where(born, scan.serials, ids)
-        rows = np.flatnonzero(ids >= 0)
-        if not len(rows) or self.policy.reference:
-            return
-        points, Jp, Jz = self.sensor.locate(pose, scan.honest.z[rows])
-        covs = Jp @ P @ Jp.transpose(0, 2, 1) + Jz @ scan.honest.R[rows] @ Jz.transpose(0, 2, 1)
-        lifecycle.record_places(branch.ledger, ids[rows].tolist(), points, covs)
-        new = np.flatnonzero(born[rows])
-        at = branch.graves.at(points[new], covs[new], self.policy.apart2)
-        for k in np.flatnonzero(at >= 0):
-            i = int(ids[rows[new[k]]])
-            branch.ledger[i] = lifecycle.risen(branch.ledger[i], branch.graves.graves[at[k]], self.policy)
-        branch.graves = branch.graves.without(at[at >= 0])
 
     def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan) -> tuple[Ids, Ids]:
         """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1."""
@@ -365,18 +350,10 @@ class Slam:
     def unite(self, branch: Branch, keep: int, drop: int) -> None:
         """Two stones of a branch become one; the survivor inherits hits and companions."""
         branch.belief = self.estimator.merge(branch.belief, keep, drop)
-        self._inherit(branch, keep, drop)
+        self._united(branch, keep, drop)
 
-    def _inherit(self, branch: Branch, keep: int, drop: int) -> None:
-        lost, life = branch.ledger.pop(drop), branch.ledger[keep]
-        life.hits, life.chances, life.static = (
-            life.hits + lost.hits,
-            life.chances + lost.hits,
-            life.static + lost.static,
-        )
-        life.companions |= lost.companions
-        life.looks = life.looks.and_also(lost.looks)
-        life.seen = max(life.seen, lost.seen)
+    def _united(self, branch: Branch, keep: int, drop: int) -> None:
+        lifecycle.inherit(branch.ledger, keep, drop)
         branch.events = (branch.events, "merged", drop, keep, self.index)
 
     def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:

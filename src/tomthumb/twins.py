@@ -17,7 +17,12 @@ NEVER = 7.0  # sightings of both that were to be expected: none by chance is one
 
 
 def record_apart(
-    ledger: Ledger, predictions: Predictions, hit: set[int], detection: DetectionMap, scan: Observations, policy: LifeCycle
+    ledger: Ledger,
+    predictions: Predictions,
+    hit: set[int],
+    detection: DetectionMap,
+    scan: Observations,
+    policy: LifeCycle,
 ) -> list[tuple[int, int]]:
     """Notes for stones of which one was seen and one in view not; returned are pairs (keep, drop) that are one thing.
 
@@ -49,7 +54,7 @@ def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: 
     a, b = np.flatnonzero(hit), np.flatnonzero(missed)
     if not len(a) or not len(b):
         return []
-    assert predictions.points is not None and predictions.stone is not None
+    assert predictions.points is not None
     points = predictions.points[predictions.stone]
     usual = float(np.median(cKDTree(points).query(points, 2)[0][:, 1]))
     gap = np.linalg.norm(predictions.points[a][:, None] - predictions.points[b][None], axis=2)
