@@ -21,8 +21,25 @@ MAY = {
     "estimators": BASE | {"models"},  # for the sensitivity to calibration states only
     "associators": BASE | {"tale"},
     "appearance": BASE,
-    "lifecycle": BASE | {"appearance"},
-    "slam": BASE | {"appearance", "branches", "lifecycle", "checks", "sensing", "court", "king", "revision", "watch"},
+    "graves": BASE,
+    "lifecycle": BASE | {"appearance", "graves"},
+    "sensing": BASE,
+    "twins": BASE | {"lifecycle", "sensing"},
+    "returns": BASE | {"branches", "lifecycle"},
+    "slam": BASE
+    | {
+        "appearance",
+        "branches",
+        "checks",
+        "court",
+        "king",
+        "lifecycle",
+        "returns",
+        "revision",
+        "sensing",
+        "twins",
+        "watch",
+    },
     "metrics": BASE,
 }
 
