@@ -19,10 +19,9 @@ ROBOTS = 5
 # Residuals against Vicon: range 0.07 to 0.18 m by robot, with a bias up to 0.07 m; bearing 0.3 to 1.1 deg; a few
 # percent of the sightings are off by 0.5 m and more. The stds cover the worst robot.
 STD = (0.15, math.radians(1.2))
-# The controls are commands, not measurements. What is left of their error, as noise of each command: 0.13 m/s is the
-# worst robot's distance over 20 s; turns are off by 8 to 13 deg over 20 s (0.15 to 0.24 rad/s), with heavy tails: slips of
-# 20 to 39 deg within 10 s, which 0.36 rad/s makes two standard deviations instead of four.
-CONTROL_STD = (0.13, 0.36)
+# The controls are commands, not measurements. What is left of their error with DELAY, TURN and SPEED, as noise of each
+# command, is that of the worst robot over the longest span measured (60 s, about as long as a tube is out of sight).
+CONTROL_STD = (0.14, 0.27)
 DELAY = 0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
 TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
 SPEED = 0.91  # of the speed that is commanded is made: 0.88 to 0.92 by robot
