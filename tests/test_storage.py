@@ -89,6 +89,22 @@ def test_a_truncated_trace_is_named(tmp_path, saved):
             load_run(file)
 
 
+def test_a_trace_with_a_damaged_byte_is_named(tmp_path, saved):
+    """Any byte: of the directory, of a header, in the middle of what is packed."""
+    save_run(tmp_path, saved)
+    file = tmp_path / "trace.npz"
+    whole, rng = file.read_bytes(), np.random.default_rng(0)
+    said = []
+    for place in rng.integers(0, len(whole), 400).tolist():
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        try:
+            load_run(file)
+        except BrokenFile as reason:
+            said.append(str(reason))
+    assert len(said) > 200  # the rest hit a date or the like, which says nothing
+    assert not any("\n" in line for line in said)
+
+
 def test_a_pickle_is_refused(tmp_path):
     file = tmp_path / "trace.npz"
     np.savez(file, about=np.array([{"a": 1}], dtype=object))
@@ -118,7 +134,10 @@ def test_lessons_lie_beside_the_map_and_are_read_back(tmp_path, saved):
     assert load_lessons(tmp_path) is None
 
 
-@pytest.mark.parametrize("damage", ["cut", "share", "shape"])
+DAMAGE = ["cut", "share", "shape", "words", "fractions", "negative", "one number", "absent"]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
 def test_broken_lessons_are_named(tmp_path, damage):
     memory = LogMemory()
     memory.learn([0, 1], 0.0)
@@ -127,10 +146,17 @@ def test_broken_lessons_are_named(tmp_path, damage):
         "cut": good,
         "share": replace(good, together=1.5 * np.ones((2, 2))),
         "shape": replace(good, ids=np.arange(3)),
+        "words": replace(good, together=np.array([["a", "b"], ["c", "d"]])),
+        "fractions": replace(good, ids=np.array([0.0, np.nan])),
+        "negative": replace(good, sightings=np.array([3, -2])),
+        "one number": replace(good, ids=np.int64(4)),
+        "absent": good,
     }
     save_map(tmp_path / "map.csv", estimate([0, 1]), wrong[damage])
     file = tmp_path / "map.memory.npz"
     if damage == "cut":
         file.write_bytes(file.read_bytes()[:100])
+    if damage == "absent":
+        np.savez_compressed(file, ids=good.ids)
     with pytest.raises(BrokenFile, match=r"map\.memory\.npz"):
         load_lessons(tmp_path / "map.csv")
