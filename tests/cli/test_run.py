@@ -133,6 +133,15 @@ WRONG = [
     (["plot", "nowhere"], "nowhere"),
     (["list", "associator"], "did you mean 'associators'"),
     (["rum", "cloister"], "did you mean 'run'"),
+    (["run"], "Missing argument"),
+    (["run", "cloister", "--sed", "1"], "--sed"),
+    (["run", "cloister", "--seed", "-1"], "--seed"),
+    (["explain", "cloister", "--step", "-1"], "Invalid value for '--step'"),
+    (["explain", "cloister", "--step", "some"], "Invalid value for '--step'"),
+    (["explain", "cloister", "--step", "1", "--observation", "-1"], "Invalid value for '--observation'"),
+    (["explain", "out/nowhere", "--step", "1"], "no such file or folder"),
+    (["bench", "--patience", "0"], "Invalid value for '--patience'"),
+    (["bench", "--patience", "nan"], "--patience"),
 ]
 
 
