@@ -79,6 +79,19 @@ def test_a_broken_map_is_named_with_its_line(tmp_path, text, message):
         load_map(file)
 
 
+def test_a_map_is_written_whole_or_not_at_all(tmp_path):
+    file = tmp_path / "map.csv"
+    save_map(file, estimate([0, 1]), None)
+    whole = file.read_bytes()
+    broken = replace(estimate([0, 1, 2]), stone=np.array([True]))
+    with pytest.raises(ValueError, match="zip"):  # as if killed after the first row
+        save_map(file, broken)
+    assert file.read_bytes() == whole
+    save_map(file, estimate([0, 1, 2]))
+    assert [f.name for f in tmp_path.iterdir()] == ["map.csv"]
+    assert len(load_map(file).ids) == 3
+
+
 def test_a_truncated_trace_is_named(tmp_path, saved):
     save_run(tmp_path, saved)
     file = tmp_path / "trace.npz"

@@ -73,11 +73,14 @@ def save_map(path: Path, estimate: Estimate, lessons: Lessons | None = None) -> 
         _beside(path).unlink(missing_ok=True)  # first: whenever this is killed, no memory lies beside a foreign map
     covs = estimate.covs
     numbers = np.column_stack([estimate.landmarks, covs[:, 0, 0], covs[:, 0, 1], covs[:, 1, 1]])
-    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(MAP_COLUMNS)
-        for i, values, stone in zip(estimate.ids, numbers, estimate.stone, strict=True):
-            rows.writerow([int(i), *(f"{v:.12g}" for v in values), int(stone)])
+    part = path.with_name(path.name + ".part")
+    with writing(path):
+        with part.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            rows.writerow(MAP_COLUMNS)
+            for i, values, stone in zip(estimate.ids, numbers, estimate.stone, strict=True):
+                rows.writerow([int(i), *(f"{v:.12g}" for v in values), int(stone)])
+        part.replace(path)  # whole or not at all: a shorter map would not show that it was cut
     if lessons is not None:
         _save_lessons(_beside(path), lessons)
 
