@@ -41,6 +41,8 @@ class Loop:
             raise TomThumbError(
                 f"slam.width={self.width}, slam.revision={self.revision}: at least 1 branch, and a window of 0 or more"
             )
+        if self.loops and not (self.king or self.lost):
+            raise TomThumbError("slam.loops=true: loops are closed by the king, who is called with slam.king=true")
 
 
 def run(
