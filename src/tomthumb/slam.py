@@ -170,7 +170,7 @@ class Slam:
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
-            self.associator.learn(best.ids[~np.isin(best.ids, list(best.crumbs))], self.t)
+            self.associator.learn(best.ids[~_among(best.ids, best.crumbs)], self.t)
         return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
@@ -363,7 +363,7 @@ class Slam:
         begin, predicted, spent = clock
         end = perf_counter()
         seconds = (predicted - begin, spent, end - predicted - spent, 0.0)
-        stone = (best.paired >= 0) & ~np.isin(best.paired, list(best.crumbs))
+        stone = (best.paired >= 0) & ~_among(best.paired, best.crumbs)
         return StepRecord(
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
@@ -373,6 +373,12 @@ class Slam:
 def _spent(answer: Association) -> dict[str, Any]:
     """What the record of a step tells of an answer: what was spent and proven, and how sure each decision is."""
     return dict(answer.info) if answer.confidence is None else {**answer.info, "confidence": answer.confidence}
+
+
+def _among(ids: Ids, crumbs: set[int]) -> Mask:
+    """Which ids (m,) are crumbs. Looked up one by one: most steps have no scan, and m is small beside their number."""
+    found: Mask = np.array([i in crumbs for i in ids.tolist()], bool)
+    return found
 
 
 def _wrapped(sensor: Sensor) -> Mask:

@@ -142,18 +142,10 @@ def explore(
                 if 2.0 * cost > prior_gate2:
                     continue
                 tried += 1
-                score = -cost
                 floor = max(scores[basins - 1], scores[0] - behind)
-                for i in range(m):
-                    if score + rest[i] <= floor:
-                        score = -np.inf
-                        break
-                    # the observation carried back to where the map would have it
-                    ox, oy = q[i, 0] - tx, q[i, 1] - ty
-                    x, y = c * ox + s * oy, -s * ox + c * oy
-                    vote = gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index)
-                    if vote > 0.0:
-                        score += vote
+                score = _vote(
+                    q, W, gain, rest, points, worth, tx, ty, c, s, -cost, floor, cell, low, shape, cells, index
+                )  # fmt: skip
                 if score > floor:
                     _settle(poses, scores, support, touched, tx, ty, theta, score, apart)
                 if tried >= budget:
@@ -161,6 +153,24 @@ def explore(
         for r in range(basins):
             support[r] += touched[r]
     return poses, scores, tried, anchors.shape[0]
+
+
+@jit
+def _vote(
+    q: Array, W: Array, gain: Array, rest: Array, points: Array, worth: Array, tx: float, ty: float, c: float, s: float,
+    score: float, floor: float, cell: float, low: Array, shape: Array, cells: Array, index: Array,
+) -> float:  # fmt: skip
+    """`score` of a pose with all that the observations add; -inf once what is left cannot lift it above `floor`."""
+    for i in range(q.shape[0]):
+        if score + rest[i] <= floor:
+            return -np.inf
+        # the observation carried back to where the map would have it
+        ox, oy = q[i, 0] - tx, q[i, 1] - ty
+        x, y = c * ox + s * oy, -s * ox + c * oy
+        vote = gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index)
+        if vote > 0.0:
+            score += vote
+    return score
 
 
 @jit
