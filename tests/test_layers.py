@@ -23,9 +23,6 @@ MAY = {
     "appearance": BASE,
     "graves": BASE,
     "lifecycle": BASE | {"appearance", "graves"},
-    "sensing": BASE,
-    "twins": BASE | {"lifecycle", "sensing"},
-    "returns": BASE | {"branches", "lifecycle"},
     "slam": BASE
     | {
         "appearance",

@@ -172,7 +172,7 @@ class Slam:
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
-            self.associator.learn(best.ids[~np.isin(best.ids, list(best.crumbs))], self.t)
+            self.associator.learn(best.ids[~_among(best.ids, best.crumbs)], self.t)
         return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
@@ -358,20 +358,21 @@ class Slam:
 
     def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:
         best = self.branches[0]
-        if not len(serials):
-            best.ids = best.paired = np.empty(0, np.int64)
         estimate = self.estimator.pose(best.belief)
         for branch in self.branches:
+            if not len(serials):
+                branch.ids = branch.paired = np.empty(0, np.int64)
             branch.history = (
                 branch.history,
                 branch.ids,
                 estimate[0] if branch is best else self.estimator.pose(branch.belief)[0],
+                self.scan,
             )
         stats = self.estimator.stats(best.belief) if len(serials) else {"nis": 0.0, "dof": 0}
         begin, predicted, spent = clock
         end = perf_counter()
         seconds = (predicted - begin, spent, end - predicted - spent, 0.0)
-        stone = (best.paired >= 0) & ~np.isin(best.paired, list(best.crumbs))
+        stone = (best.paired >= 0) & ~_among(best.paired, best.crumbs)
         return StepRecord(
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
@@ -381,6 +382,12 @@ class Slam:
 def _spent(answer: Association) -> dict[str, Any]:
     """What the record of a step tells of an answer: what was spent and proven, and how sure each decision is."""
     return dict(answer.info) if answer.confidence is None else {**answer.info, "confidence": answer.confidence}
+
+
+def _among(ids: Ids, crumbs: set[int]) -> Mask:
+    """Which ids (m,) are crumbs. Looked up one by one: most steps have no scan, and m is small beside their number."""
+    found: Mask = np.array([i in crumbs for i in ids.tolist()], bool)
+    return found
 
 
 def _wrapped(sensor: Sensor) -> Mask:
