@@ -1,10 +1,11 @@
 """A run, and then smoothed as a whole: ATE of the filter, of the smoothed poses, and the time both take.
 
-    python benchmarks/smoothing.py DATA/victoria_park --associator stt [--noise 1 16]
+    python benchmarks/smoothing.py DATA/victoria_park --associator stt [--noise 1 16] [--memory 1.1 3.1]
     python benchmarks/smoothing.py --worlds 10 [--associator stt]
 
 "oracle" names by the log's labels. ATE is after rigid alignment, over the scans with truth; seconds are CPU time.
-`--noise` multiplies the variances of range and bearing in the graph. Where a log brings GPS, the median distance of the
+`--noise` multiplies the variances of range and bearing in the graph; `--memory` is the path in m over which the
+sensor's errors in both repeat themselves, for filter and graph. Where a log brings GPS, the median distance of the
 sensor to the fixes is told too: they are in neither the graph nor the truth. `--worlds`: so many seeds of two simulated
 worlds, where the noise is what the graph is told.
 """
@@ -107,12 +108,15 @@ def main() -> None:
     parser.add_argument("--associator", default="oracle")
     parser.add_argument("--estimator", default="iekf")
     parser.add_argument("--robust", nargs="+", default=["none", "huber"])
+    parser.add_argument("--memory", nargs=2, type=float, metavar=("RANGE_M", "BEARING_M"))
     parser.add_argument("--noise", nargs=2, type=float, default=[1.0, 1.0], metavar=("RANGE", "BEARING"))
     options = parser.parse_args()
     if options.worlds:
         in_simulation(options.worlds, options.associator)
     elif options.log:
-        tell(load(options.log), options)
+        log = load(options.log)
+        memory = log.sensor.memory if options.memory is None else tuple(options.memory)
+        tell(replace(log, sensor=replace(log.sensor, memory=memory)), options)
     else:
         parser.error("a log, or --worlds")
 

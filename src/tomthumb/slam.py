@@ -25,7 +25,7 @@ from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.revision import Moment, Revision
-from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
+from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news, travelled
 from tomthumb.types import (
     Array,
     Association,
@@ -41,7 +41,6 @@ from tomthumb.types import (
     StepRecord,
 )
 
-TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
 HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
 
@@ -140,7 +139,7 @@ class Slam:
         branch.belief = self.estimator.predict(branch.belief, control, self.rng_estimator)
         if branch is self.branches[0] and any(self.sensor.memory):
             delta, _ = self.motion.increment(control)
-            self.moved += math.hypot(delta[0], delta[1]) + abs(delta[2]) * TURN
+            self.moved += travelled(delta)
 
     def _honest(self, seen: Observations) -> Observations:
         """The scan with R raised where the residuals of the last scans say that it claims too little."""
