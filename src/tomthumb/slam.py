@@ -24,8 +24,10 @@ from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news, travelled
+from tomthumb.twins import record_apart
 from tomthumb.types import (
     Array,
     Association,
@@ -247,9 +249,12 @@ class Slam:
         hit = ids >= 0
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
+        here, names = self.estimator.pose(branch.belief), np.where(born, scan.serials, ids)
+        look_back(branch, here, self.sensor, scan.honest, names, born, self.policy)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
+            self._absorb(branch, predictions, set(ids[hit].tolist()), scan)
             self._merge(branch, predictions, set(ids[hit].tolist()))
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
@@ -279,6 +284,13 @@ class Slam:
             known = inside & predictions.stone
             self.court.look(branch, predictions.ids, known, seen, chance, len(scan), self.scan)
             self.detection.record(predictions.points[known], seen[known])
+
+    def _absorb(self, branch: Branch, predictions: Predictions, hit: set[int], scan: Scan) -> None:
+        """Of two stones that stand for one thing the one seen less is left out; where it was tells nothing."""
+        for keep, drop in record_apart(branch.ledger, predictions, hit, self.detection, scan.honest, self.policy):
+            if keep in branch.ledger and drop in branch.ledger:
+                branch.belief = self.estimator.forget(branch.belief, np.array([drop]))
+                self._united(branch, keep, drop)
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
         """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
@@ -322,6 +334,7 @@ class Slam:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
         gone = lifecycle.deaths(branch.ledger, expected, branch.crumbs, self.scan, self.policy)
         if len(gone):
+            branch.graves = branch.graves.and_buried(lifecycle.graves(branch.ledger, gone))
             branch.belief = self.estimator.forget(branch.belief, gone)
             branch.crumbs.difference_update(gone.tolist())
         for i in gone.tolist():
@@ -336,27 +349,23 @@ class Slam:
     def unite(self, branch: Branch, keep: int, drop: int) -> None:
         """Two stones of a branch become one; the survivor inherits hits and companions."""
         branch.belief = self.estimator.merge(branch.belief, keep, drop)
-        lost, life = branch.ledger.pop(drop), branch.ledger[keep]
-        life.hits, life.chances, life.static = (
-            life.hits + lost.hits,
-            life.chances + lost.hits,
-            life.static + lost.static,
-        )
-        life.companions |= lost.companions
-        life.looks = life.looks.and_also(lost.looks)
-        life.seen = max(life.seen, lost.seen)
+        self._united(branch, keep, drop)
+
+    def _united(self, branch: Branch, keep: int, drop: int) -> None:
+        lifecycle.inherit(branch.ledger, keep, drop)
         branch.events = (branch.events, "merged", drop, keep, self.index)
 
     def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:
         best = self.branches[0]
-        if not len(serials):
-            best.ids = best.paired = np.empty(0, np.int64)
         estimate = self.estimator.pose(best.belief)
         for branch in self.branches:
+            if not len(serials):
+                branch.ids = branch.paired = np.empty(0, np.int64)
             branch.history = (
                 branch.history,
                 branch.ids,
                 estimate[0] if branch is best else self.estimator.pose(branch.belief)[0],
+                self.scan,
             )
         stats = self.estimator.stats(best.belief) if len(serials) else {"nis": 0.0, "dof": 0}
         begin, predicted, spent = clock

@@ -74,30 +74,6 @@ def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, A
 
 
 @jit
-def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
-    """Points sorted into square cells: origin (2,), shape (2,), start of each cell, index. Cells in row-major order."""
-    n = points.shape[0]
-    low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
-    for j in range(n):
-        for u in range(2):
-            low[u], high[u] = min(low[u], points[j, u]), max(high[u], points[j, u])
-    shape = np.ones(2, np.int64)
-    for u in range(2):
-        shape[u] = int((high[u] - low[u]) / cell) + 1 if n > 0 else 1
-    counts = np.zeros(shape[0] * shape[1] + 1, np.int64)
-    home = np.empty(n, np.int64)
-    for j in range(n):
-        home[j] = int((points[j, 0] - low[0]) / cell) * shape[1] + int((points[j, 1] - low[1]) / cell)
-        counts[home[j] + 1] += 1
-    start = np.cumsum(counts)
-    index, fill = np.empty(n, np.int64), start[:-1].copy()
-    for j in range(n):
-        index[fill[home[j]]] = j
-        fill[home[j]] += 1
-    return low, shape, start, index
-
-
-@jit
 def best_near(
     x: float, y: float, W: Array, points: Array, worth: Array, cell: float, low: Array, shape: Array, start: Array,
     index: Array,
