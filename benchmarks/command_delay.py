@@ -1,4 +1,4 @@
-"""MRCLAM's commands against Vicon: after which delay they act, how much of a commanded turn is made, the worst slips.
+"""MRCLAM's commands against Vicon: after which delay they act, how much of a turn and a way is made, the worst slips.
 
 python benchmarks/command_delay.py [--data FOLDER]      # the folder of the set, with RobotN_*.dat or .dat.xz
 """
@@ -39,6 +39,23 @@ def rms_deg(error: Array, span: int) -> float:
     return float(np.degrees(np.sqrt(np.mean((error[span:] - error[:-span]) ** 2))))
 
 
+def as_noise(folder: Path, robot: int, delay: float = 0.25, turn: float = 0.95, speed: float = 0.91) -> str:
+    """Share of the commanded distance that is made, and the noise of each command that gives the errors over SPANS."""
+    odometry, truth = read(folder, f"Robot{robot}_Odometry", 3), read(folder, f"Robot{robot}_Groundtruth", 4)
+    held = np.diff(odometry[:, 0])
+    t = np.arange(max(odometry[0, 0], truth[0, 0]) + 5, min(odometry[-1, 0], truth[-1, 0]) - 5)
+    told = np.interp(t - delay, odometry[:, 0], np.append(0.0, np.cumsum(odometry[:-1, 1] * held)))
+    x, y = (np.interp(t, truth[:, 0], truth[:, k]) for k in (1, 2))
+    made = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    per_second = np.sqrt((held**2).sum() / held.sum())  # std of a second's sum for commands of std 1
+    heading = np.radians([rms_deg(heading_error(folder, robot, delay, turn), span) for span in SPANS])
+    gap = speed * told - made
+    distance = [np.sqrt(np.mean((gap[span:] - gap[:-span]) ** 2)) for span in SPANS]
+    v, w = (np.array(rms) / np.sqrt(SPANS) / per_second for rms in (distance, heading))
+    share = made[-1] / (told[-1] - told[0])
+    return f"{share:.2f} of the distance is made; noise over {SPANS} s: {v.round(2)} m/s, {w.round(2)} rad/s"
+
+
 def slips(error: Array, span: int = 10, count: int = 3) -> str:
     """The largest errors of the turn over `span` s, at least 20 s apart: when (s from the start), how much (deg)."""
     made = np.degrees(error[span:] - error[:-span])
@@ -64,6 +81,7 @@ def main() -> None:
         told = [f"{span} s " + "/".join(f"{rms_deg(error, span):.1f}" for error in robots) for span in SPANS]
         print(f"delay 0.25 s, turn {turn}: off by (robots 1 to 5, deg) {', '.join(told)}")
     for robot in range(1, 6):
+        print(f"robot {robot}: {as_noise(folder, robot)}")
         print(f"robot {robot}: largest slips over 10 s: {slips(heading_error(folder, robot, 0.25, 0.95))}")
 
 

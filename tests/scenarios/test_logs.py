@@ -145,6 +145,19 @@ def test_mrclam_has_five_robots(data):
         load(f"mrclam:{data('utias_mrclam')}?robot=6")
 
 
+@pytest.mark.parametrize("wrong", ["speed=0", "speed=nan", "turn=-1", "delay=-1", "delay=1e9"])
+def test_mrclam_refuses_what_cannot_be(data, wrong):
+    with pytest.raises(TomThumbError, match=wrong.partition("=")[0]):
+        load(f"mrclam:{data('utias_mrclam')}?{wrong}")
+
+
+def test_mrclam_makes_the_shares_of_the_commands_that_are_asked_for(data):
+    whole, half = (load(f"mrclam:{data('utias_mrclam')}?robot=2&turn=1&speed={share}") for share in (1.0, 0.5))
+    for one, other in zip(whole.steps[:2000], half.steps[:2000], strict=True):
+        if one.control is not None:
+            np.testing.assert_allclose(other.control.u, one.control.u * [0.5, 1.0])
+
+
 def test_dlr(data):
     scenario = load(str(data("dlr_spatial_cognition")))
     ids = scenario.true_ids()

@@ -19,38 +19,42 @@ ROBOTS = 5
 # Residuals against Vicon: range 0.07 to 0.18 m by robot, with a bias up to 0.07 m; bearing 0.3 to 1.1 deg; a few
 # percent of the sightings are off by 0.5 m and more. The stds cover the worst robot.
 STD = (0.15, math.radians(1.2))
-# The controls are commands, not measurements: with DELAY and TURN heading is off by 8 to 13 deg (rms) after 20 s, by
-# robot. As noise of each command of 0.012 s the second std gives the mean of that, 10 deg.
-CONTROL_STD = (0.1, 0.18)
+# The controls are commands, not measurements. What is left of their error with DELAY, TURN and SPEED, as noise of each
+# command, is that of the worst robot over the longest span measured (60 s, about as long as a tube is out of sight).
+CONTROL_STD = (0.14, 0.27)
 DELAY = 0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
 TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
-MAX_DELAY, MAX_TURN = 10.0, 10.0
+SPEED = 0.91  # of the speed that is commanded is made: 0.88 to 0.92 by robot
+MAX_DELAY, MAX_SHARE = 10.0, 10.0
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
 
-def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TURN) -> Scenario:
+def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TURN, speed: float = SPEED) -> Scenario:
     """One robot of a set: the folder with Barcodes.dat, Landmark_Groundtruth.dat and RobotN_*.dat (plain, .xz or .gz).
 
     Sightings of other robots and of barcodes that belong to nobody are left out. The odometry holds commands, which
-    act `delay` s later and turn the robot by `turn` times what they say. The log starts where both odometry and ground
-    truth (if there is any) have begun. Without ground truth the robot starts at (0, 0, 0).
+    act `delay` s later; of the turn and the speed that they say the robot makes the shares `turn` and `speed`. The log
+    starts where both odometry and ground truth (if there is any) have begun. Without ground truth the robot starts at
+    (0, 0, 0).
 
-    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay
-    or turn.
+    Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay,
+    turn or speed.
     """
     if not 1 <= robot <= ROBOTS:
         raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
     if not 0 <= delay <= MAX_DELAY:
         raise TomThumbError(f"mrclam: delay={delay:g}: 0 to {MAX_DELAY:g} s")
-    if not 0 < turn <= MAX_TURN:
-        raise TomThumbError(f"mrclam: turn={turn:g}: above 0, and at most {MAX_TURN:g}")
+    for name, share in (("turn", turn), ("speed", speed)):
+        if not 0 < share <= MAX_SHARE:
+            raise TomThumbError(f"mrclam: {name}={share:g}: above 0, and at most {MAX_SHARE:g}")
     folder = _folder(Path(path))
     landmarks, index = _landmarks(folder)
     odometry = _read(folder, f"Robot{robot}_Odometry", 3)
     if not len(odometry):
         raise BrokenFile(folder / f"Robot{robot}_Odometry.dat", "holds no odometry")
     odometry[:, 0] += delay
+    odometry[:, 1] *= speed
     odometry[:, 2] *= turn
     sightings = _read(folder, f"Robot{robot}_Measurement", 4)
     codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
