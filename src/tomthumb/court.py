@@ -34,6 +34,8 @@ class Court:
     watch: Watch = field(default_factory=Watch)
     exile: Exile | None = None
     consistency: Consistency = field(default_factory=Consistency)
+    scout: Any = None
+    last: Any = None
 
     @property
     def well(self) -> bool:
@@ -45,7 +47,25 @@ class Court:
         stats = slam.estimator.stats(slam.branches[0].belief)
         self.consistency.record(float(stats.get("nis", 0.0)), int(stats.get("dof", 0)))
         told = {} if self.consistency.verdict == "fine" else {"watch": self.consistency.verdict}
+        self.last = scan
+        if self.scout is not None:
+            self.scout.diary.entries[-1].scan = scan
+            if len(scan):
+                G = slam.sensor.locate(slam.estimator.pose(slam.branches[0].belief)[0], scan.honest.z)[2]
+                self.scout.noise.append(float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean())))
+            told |= self._compare(slam, scan)
         return told | self._follow(slam, scan)
+
+    def _compare(self, slam, scan):
+        from tomthumb.scout import close, missed_loop
+
+        if slam.scan % self.scout.rules.every or not len(scan):
+            return {}
+        found = missed_loop(self.king or King(), self.scout, slam)
+        if found is None:
+            return {}
+        close(slam, self.scout, found)
+        return {"king": "loop", "votes": found.way.fit.votes}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:

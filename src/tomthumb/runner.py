@@ -23,6 +23,7 @@ LOOP = (
     "frozen",
     "king",
     "loops",
+    "scout",
     "lost",
     "revision",
 )  # settings of the loop, beside the life cycle's
@@ -88,6 +89,10 @@ def prepare(
         king=_king(chosen["slam"], associator == "oracle"),
     )  # fmt: skip
     slam.court.loops = Loops(drifting=bool(chosen["slam"].get("loops")))
+    if chosen["slam"].get("scout") and associator != "oracle":
+        from tomthumb.scout import Scout, Scouting
+
+        slam.court.scout = Scout(Scouting(window=int(chosen["slam"]["scout"])))
     slam.revision.window = int(chosen["slam"].get("revision", 0))
     if start_map is not None:
         names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))

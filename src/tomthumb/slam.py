@@ -103,6 +103,8 @@ class Slam:
         seen = observations or EMPTY
         check_step(self.index, t, self.t, control, seen)
         self.revision.before(self, Moment(t, control, observations), self.court.well)
+        if self.court.scout is not None:
+            self.court.scout.step(self, t, control, observations)
         for branch in self.branches:
             self._predict(branch, t, control)
         self.t = t
