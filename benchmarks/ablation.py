@@ -10,7 +10,6 @@ table. The last column is the median time of an association, relative. Rows are 
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 import tomllib
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from paired import Row, differences, markdown, mean, points, run, write
+from paired import Row, differences, markdown, mean, parser, points, run, write
 from scan_problems import scans
 
 from tomthumb import registry
@@ -140,14 +139,10 @@ def verdicts(rows: Sequence[Row], labels: Sequence[str]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench/ablation"))
-    parser.add_argument("--plan", type=Path, default=HOME / "plans" / "ablation.toml")
-    parser.add_argument("--seeds")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--only", nargs="*", help="labels of rows")
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
+    cli = parser(__doc__, "bench/ablation")
+    cli.add_argument("--plan", type=Path, default=HOME / "plans" / "ablation.toml")
+    cli.add_argument("--only", nargs="*", help="labels of rows")
+    options = cli.parse_args()
     plan = tomllib.loads(options.plan.read_text("utf-8"))
     plan |= {"seeds": options.seeds} if options.seeds else {}
     rows = [row for row in plan["row"] if options.only is None or row["label"] in (WHOLE, *options.only)]

@@ -1,10 +1,11 @@
 """Average NEES (3 is right) and position error of the filters, association by the oracle, filter told the true noise.
 
-    python benchmarks/consistency.py --seeds 50 --out consistency.json
-    python benchmarks/consistency.py --seeds 50 --filters "the same, crumbs" --associator oracle stt
+    python benchmarks/consistency.py --seeds 50 --write docs/estimators.md
+    python benchmarks/consistency.py --seeds 50 --filters "the same, crumbs" --associator oracle stt --write docs/estimators.md
 
-With several associators each row tells its share of observations named rightly, and the last column the ratio of its
-NEES to the first associator's over the runs in which that share is above 99.8 % (n of them).
+The first makes the table of filters, the second that of associators: the share of observations each names rightly, and
+the ratio of its NEES to the first one's over the runs in which that share is above 99.8 % (n of them). Every run is kept
+in --out under the version of the code, and not made again.
 
 Rows: cloister at 1x to 8x the reference's odometry noise, and a loop of 120 m with landmarks 1.5 m apart at 1x to 4x;
 two laps each. Filters: the usual EKF with one iteration, iterated, and the right-invariant one, iterated; landmarks
@@ -16,12 +17,16 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from paired import markdown, write
 from worlds import loop, true_noise_cloister
 
 from tomthumb import geometry
+from tomthumb.bench.version import code_version
 from tomthumb.estimators.ekf import EKF, InvariantEKF
 from tomthumb.metrics import evaluate
 from tomthumb.runner import run
@@ -36,14 +41,10 @@ FILTERS = {
 }
 WORLDS = [("cloister", true_noise_cloister, k) for k in (1, 2, 4, 8)] + [("loop 120 m", loop, k) for k in (1, 2, 4)]
 
-
-LINE = (
-    "{world:11s} {noise}x {filter:20s} {associator:6s} NEES {nees:7.2f} +- {nees_se:5.2f}  "
-    "second lap {nees_second_lap:7.2f}  RMSE {rmse_m:.3f} m  failed {failed}  right {right:.4f}  ratio {ratio} (n {good})"
-)
+Score = dict[str, float]
 
 
-def score(world, make, settings, seed: int, associator: str) -> dict[str, float]:
+def score(world: Any, make: Callable[..., Any], settings: Any, seed: int, associator: str) -> Score:
     """NEES over all steps and over the second half, position RMSE m, and share of right names, of one run."""
     trace = run(world, associator=associator, estimator=make(world.motion, world.sensor), seed=seed, settings=settings)
     truth = np.array([s.truth.pose for s in world.steps[: len(trace.t)]])
@@ -62,7 +63,7 @@ def score(world, make, settings, seed: int, associator: str) -> dict[str, float]
     }
 
 
-def summary(runs: list[dict[str, float]], like: list[dict[str, float]]) -> dict[str, float | None]:
+def summary(runs: Sequence[Score], like: Sequence[Score]) -> dict[str, float | None]:
     """What is printed of the runs; `like`: the same worlds with the first associator."""
     nees = np.array([r["nees"] for r in runs])
     good = np.array([r["right"] > RIGHT for r in runs])
@@ -76,27 +77,83 @@ def summary(runs: list[dict[str, float]], like: list[dict[str, float]]) -> dict[
     }  # fmt: skip
 
 
+class Kept:
+    """Scores by what they are of, one JSON line each; a run cut short loses no more than the line it was at."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        file.parent.mkdir(parents=True, exist_ok=True)
+        lines = file.read_text("utf-8").splitlines() if file.is_file() else []
+        pairs = [json.loads(line) for line in lines if line.endswith("}]")]
+        self.scores: dict[str, Score] = {json.dumps(key): found for key, found in pairs}
+
+    def get(self, key: Sequence[Any], make: Callable[[], Score]) -> Score:
+        """The score that is kept under `key`, else the one made now."""
+        name = json.dumps(list(key))
+        if name not in self.scores:
+            self.scores[name] = make()
+            with self.file.open("a", encoding="utf-8") as out:
+                out.write(json.dumps([list(key), self.scores[name]]) + "\n")
+        return self.scores[name]
+
+
+def rows_of(seeds: int, filters: Sequence[str], associators: Sequence[str], kept: Kept) -> list[dict[str, Any]]:
+    """A row for every world, filter and associator, printed as it comes."""
+    rows = []
+    for name, make_world, noise in WORLDS:
+        worlds = [make_world(np.random.default_rng([seed, 0]), odometry_noise=noise) for seed in range(seeds)]
+        for title in filters:
+            first: list[Score] = []
+            for associator in associators:
+                runs = [
+                    kept.get(
+                        [code_version(), name, noise, title, associator, seed],
+                        lambda w=world, k=seed, t=title, a=associator: score(w, *FILTERS[t], k, a),
+                    )
+                    for seed, world in enumerate(worlds)
+                ]
+                first = first or runs
+                row = {"world": name, "noise": noise, "filter": title, "associator": associator}
+                rows.append(row | summary(runs, first))
+                print(
+                    "  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{v}" for k, v in rows[-1].items()),
+                    flush=True,
+                )
+    return rows
+
+
+def by_column(rows: Sequence[dict[str, Any]], column: str) -> str:
+    """NEES with its standard error: a line for each world and noise, a column for each filter or associator."""
+    heads = list(dict.fromkeys(row[column] for row in rows))
+    lines: dict[str, list[str]] = {}
+    for row in rows:
+        line = lines.setdefault(f"{row['world']}, {row['noise']}x", [])
+        line.append(f"{row['nees']:.2f} ± {row['nees_se']:.2f}")
+        if column == "associator" and row["associator"] != heads[0]:
+            ratio = "none" if row["ratio"] is None else f"{row['ratio']:.2f} ({row['good']})"
+            line += [f"{100 * row['right']:.2f} %", ratio]
+    if column == "associator":
+        heads = [heads[0], *(text for name in heads[1:] for text in (name, "named rightly", "ratio (n)"))]
+    return markdown(["world", *heads], [[world, *line] for world, line in lines.items()])
+
+
 def main() -> None:
-    """Every world with every filter and associator, printed as it comes and kept as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Every world with every filter and associator."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=list(FILTERS))
     parser.add_argument("--associator", nargs="+", default=["oracle"])
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("out/consistency.jsonl"))
+    parser.add_argument("--write", type=Path, help="put the table between its marks in this document")
     options = parser.parse_args()
-    rows = []
-    for name, make_world, noise in WORLDS:
-        worlds = [make_world(np.random.default_rng([seed, 0]), odometry_noise=noise) for seed in range(options.seeds)]
-        for title in options.filters:
-            first: list[dict[str, float]] = []
-            for associator in options.associator:
-                runs = [score(world, *FILTERS[title], seed, associator) for seed, world in enumerate(worlds)]
-                first = first or runs
-                row = {"world": name, "noise": noise, "filter": title, "associator": associator, "seeds": options.seeds}
-                rows.append(row | summary(runs, first))
-                print(LINE.format(**rows[-1]), flush=True)
-                if options.out:
-                    options.out.write_text(json.dumps(rows, indent=1))
+    if len(options.associator) > 1 and len(options.filters) > 1:
+        parser.error("several associators go with one filter: name it with --filters")
+    rows = rows_of(options.seeds, options.filters, options.associator, Kept(options.out))
+    column = "associator" if len(options.associator) > 1 else "filter"
+    text = f"{options.seeds} seeds.\n\n{by_column(rows, column)}"
+    print(text)
+    if options.write:
+        write(options.write, f"consistency by {column}", text)
 
 
 if __name__ == "__main__":

@@ -9,12 +9,11 @@ test tells the difference from none after Holm's correction over the table. Runs
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from paired import Row, differences, markdown, mean, points, run, write
+from paired import Row, differences, markdown, mean, parser, points, run, write
 
 from tomthumb.stats import Comparison
 
@@ -61,12 +60,8 @@ def versus_table(rows: Sequence[Row]) -> str:
 
 def main() -> None:
     """Make the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("bench/end_to_end"))
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seeds")
-    parser.add_argument("--write", type=Path)
-    args = parser.parse_args()
+    cli = parser(__doc__, "bench/end_to_end", workers=2)
+    args = cli.parse_args()
     grid = tomllib.loads((HOME / "end_to_end.toml").read_text("utf-8"))
     grid["seeds"] = args.seeds or grid["seeds"]
     rows = run(grid, HOME, args.out, args.workers)

@@ -9,7 +9,6 @@ intervals by run; bold where a Wilcoxon test tells it from none after Holm's cor
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from paired import Row, differences, markdown, mean, points, run, write
+from paired import Row, differences, markdown, mean, parser, points, run, write
 
 import tomthumb
 
@@ -66,14 +65,10 @@ def _cell(value: Any) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench/looks"))
-    parser.add_argument("--seeds")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--log", help="measure on this log instead")
-    parser.add_argument("--steps", type=int, default=20_000, help="of the log")
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
+    cli = parser(__doc__, "bench/looks")
+    cli.add_argument("--log", help="measure on this log instead")
+    cli.add_argument("--steps", type=int, default=20_000, help="of the log")
+    options = cli.parse_args()
     if options.log:
         name, text = "looks on a log", on_log(options.log, options.steps)
     else:

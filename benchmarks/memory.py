@@ -8,12 +8,11 @@ run; bold where a Wilcoxon test tells it from none after Holm's correction over 
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from paired import Row, differences, markdown, mean, points, run, write
+from paired import Row, differences, markdown, mean, parser, points, run, write
 
 HOME = Path(__file__).parent
 HARM = 0.001  # of the match rate: what the memory may cost at most
@@ -56,12 +55,8 @@ def _list(names: Sequence[str]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench/memory"))
-    parser.add_argument("--seeds")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
+    cli = parser(__doc__, "bench/memory")
+    options = cli.parse_args()
     grid = tomllib.loads((HOME / "memory.toml").read_text("utf-8"))
     grid |= {"seeds": options.seeds} if options.seeds else {}
     text = table(run(grid, HOME, options.out, options.workers))

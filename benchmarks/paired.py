@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,16 @@ from tomthumb.stats import Comparison, compare, correct
 
 Row = Mapping[str, Any]
 Key = tuple[str, str]  # scenario, method
+
+
+def parser(about: str | None, out: str, workers: int = 1) -> argparse.ArgumentParser:
+    """The options that all of them have; rows are kept in --out."""
+    found = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    found.add_argument("--out", type=Path, default=Path(out))
+    found.add_argument("--seeds", help="in place of the plan's, as 1000..1049")
+    found.add_argument("--workers", type=int, default=workers)
+    found.add_argument("--write", type=Path, help="put the tables between their marks in this document")
+    return found
 
 
 def run(table: Mapping[str, Any], home: Path, out: Path, workers: int) -> list[Row]:

@@ -10,14 +10,13 @@ Points are means over the seeds, bars 95 % bootstrap intervals by run; the dashe
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from paired import Row, markdown, run, write
+from paired import Row, markdown, parser, run, write
 
 from tomthumb.bench.compare import values
 from tomthumb.stats import mean_interval
@@ -129,14 +128,10 @@ HEADS = [
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("bench/sensitivity"))
-    parser.add_argument("--seeds")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--only", nargs="*", help="names of parameters")
-    parser.add_argument("--figures", type=Path)
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
+    cli = parser(__doc__, "bench/sensitivity")
+    cli.add_argument("--only", nargs="*", help="names of parameters")
+    cli.add_argument("--figures", type=Path)
+    options = cli.parse_args()
     plan = tomllib.loads((HOME / "plans" / "sensitivity.toml").read_text("utf-8"))
     plan |= {"seeds": options.seeds} if options.seeds else {}
     folder, lines = options.figures or options.out, []

@@ -77,6 +77,17 @@ def grown(n: int, make, rng, drift=DRIFT):
     return place, ekf, belief
 
 
+def step(place, ekf, belief, control, rng):
+    """Belief after a motion and a scan, and the seconds that the filter took."""
+    place.pose = geometry.compose(place.pose, control.u)
+    seen, ids = place.seen()
+    begin = time.process_time()
+    belief = ekf.predict(belief, control, rng)
+    ekf.expect(belief)
+    belief = ekf.update(belief, seen, [ids], rng)
+    return belief, time.process_time() - begin
+
+
 def tour(place, ekf, belief, steps: int, stay: int, rng) -> np.ndarray:
     """Seconds of each step; after `stay` steps the robot is led 3 landmarks' spacing on."""
     seconds = np.empty(steps)
@@ -86,13 +97,7 @@ def tour(place, ekf, belief, steps: int, stay: int, rng) -> np.ndarray:
         if k and k % stay == 0:
             target = np.array([centre[0] + 3 * SPACING * (k // stay % 2), centre[1], 0.0])
             control = Control(geometry.between(place.pose, target), 1.0, MOVE.cov)
-        place.pose = geometry.compose(place.pose, control.u)
-        seen, ids = place.seen()
-        begin = time.process_time()
-        belief = ekf.predict(belief, control, rng)
-        ekf.expect(belief)
-        belief = ekf.update(belief, seen, [ids], rng)
-        seconds[k] = time.process_time() - begin
+        belief, seconds[k] = step(place, ekf, belief, control, rng)
     return seconds
 
 
@@ -100,13 +105,7 @@ def drive(place, ekf, belief, steps: int, rng) -> np.ndarray:
     """Seconds of each step of a straight way."""
     ahead, seconds = Control(np.array([0.1, 0.0, 0.0]), 1.0, MOVE.cov), np.empty(steps)
     for k in range(steps):
-        place.pose = geometry.compose(place.pose, ahead.u)
-        seen, ids = place.seen()
-        begin = time.process_time()
-        belief = ekf.predict(belief, ahead, rng)
-        ekf.expect(belief)
-        belief = ekf.update(belief, seen, [ids], rng)
-        seconds[k] = time.process_time() - begin
+        belief, seconds[k] = step(place, ekf, belief, ahead, rng)
     return seconds
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tomthumb import lifecycle
 from tomthumb.lifecycle import Life, LifeCycle
-from tomthumb.sensing import Clutter, DetectionMap, Surprise
+from tomthumb.sensing import Clutter, DetectionMap, Surprise, _quantiles
 from tomthumb.types import Predictions
 
 POLICY = LifeCycle()
@@ -111,3 +111,12 @@ def test_clutter_density_goes_from_the_prior_to_what_is_seen():
     assert clutter.density == 0.3
     clutter.count, clutter.scans = 200.0, 1000.0
     assert abs(clutter.density - 0.01) < 0.002
+
+
+def test_quantiles_are_numpys():
+    rng = np.random.default_rng(5)
+    for n in (1, 2, 99, 100, 400):
+        values = rng.exponential(size=n).tolist()
+        assert np.allclose(
+            _quantiles(values, (0.0, 0.5, 0.9, 1.0)), np.quantile(values, (0.0, 0.5, 0.9, 1.0)), atol=1e-12
+        )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,9 @@ def test_the_whole_covariance_is_checked_on_demand():
     assert tomthumb.associate(Z, Z_HAT, cov, R, method="nn").match.tolist() == [2, 0]
     with pytest.raises(TomThumbError, match="least eigenvalue"):
         tomthumb.associate(Z, Z_HAT, cov, R, method="nn", check=True)
+
+
+def test_what_may_be_said_of_a_scan_is_the_same_with_and_without_an_answer():
+    """Both signatures are written out, for whoever reads them; they may not drift apart."""
+    asked, answered = (inspect.signature(f).parameters for f in (tomthumb.problem, tomthumb.associate))
+    assert {name: str(p) for name, p in asked.items()}.items() <= {name: str(p) for name, p in answered.items()}.items()

@@ -5,10 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tomthumb.errors import Diverged
 from tomthumb.metrics.evaluation import evaluate
-from tomthumb.revision import twin_of
+from tomthumb.revision import Checkpoint, Moment, twin_of
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
+
+
+def begun(steps: int, revision: int = 0, **options):
+    """A loop after some steps, and those to come."""
+    scenario = cloister(np.random.default_rng(3), **options)
+    slam = prepare(scenario, associator="jcbb", settings={"slam": {"revision": revision, "king": True}})
+    for step in scenario.steps[:steps]:
+        slam.step(step.t, step.control, step.observations)
+    return slam, scenario.steps[steps:]
 
 
 def run(seed: int, window: int, **options):
@@ -49,3 +59,50 @@ def test_a_turn_of_the_evidence_is_followed_back():
     assert slam.revision.revised > 0
     assert row["match_rate"] >= before["match_rate"]
     assert len(trace.final_ids) == len(trace.ids)
+
+
+def test_what_a_twin_goes_through_leaves_no_trace_in_the_loop():
+    slam, coming = begun(20, classes=3, diameter_std=0.02)
+    twin = twin_of(slam)
+    before = [repr(what) for what in (slam.crowd, slam.clutter, slam.surprise, slam.branches[0].ledger)]
+    for step in coming[:10]:
+        twin.step(step.t, step.control, step.observations)
+    assert twin.crowd.all.count > slam.crowd.all.count
+    assert [repr(what) for what in (slam.crowd, slam.clutter, slam.surprise, slam.branches[0].ledger)] == before
+
+
+def test_a_past_in_which_the_filter_diverges_is_no_better_one():
+    slam, coming = begun(20, revision=20)
+    point = Checkpoint(twin_of(slam))
+    point.note(Moment(coming[0].t, coming[0].control, coming[0].observations))
+
+    def lost(*_):
+        raise Diverged("the pose is not finite")
+
+    point.twin.step = lost
+    slam.revision.newest, slam.revision.older = point, None
+    slam.revision.good = True
+    slam.court.watch.peak = 100.0
+    kept = slam.branches[0]
+    slam.revision.after(slam)
+    assert slam.revision.newest is None  # it was tried
+    assert slam.branches[0] is kept
+
+
+def test_no_past_outlives_an_exile():
+    slam, coming = begun(20, revision=20)
+    assert slam.revision.newest is not None
+    slam.court.lose_the_way(slam, slam.branches[0])
+    for step in coming[:3]:
+        slam.step(step.t, step.control, step.observations)
+        assert slam.revision.newest is slam.revision.older is None
+
+
+def test_what_lies_between_two_scans_does_not_age_a_checkpoint():
+    slam, _ = begun(4, revision=20)
+    point = slam.revision.newest
+    assert (point.scans, len(point.since)) == (4, 4)
+    for k in range(40):
+        slam.step(3.0 + 0.01 * (k + 1), None, None)
+    assert slam.revision.newest is point
+    assert (point.scans, len(point.since)) == (4, 44)

@@ -79,6 +79,19 @@ def test_a_broken_map_is_named_with_its_line(tmp_path, text, message):
         load_map(file)
 
 
+def test_a_map_is_written_whole_or_not_at_all(tmp_path):
+    file = tmp_path / "map.csv"
+    save_map(file, estimate([0, 1]), None)
+    whole = file.read_bytes()
+    broken = replace(estimate([0, 1, 2]), stone=np.array([True]))
+    with pytest.raises(ValueError, match="zip"):  # as if killed after the first row
+        save_map(file, broken)
+    assert file.read_bytes() == whole
+    save_map(file, estimate([0, 1, 2]))
+    assert [f.name for f in tmp_path.iterdir()] == ["map.csv"]
+    assert len(load_map(file).ids) == 3
+
+
 def test_a_truncated_trace_is_named(tmp_path, saved):
     save_run(tmp_path, saved)
     file = tmp_path / "trace.npz"
@@ -87,6 +100,22 @@ def test_a_truncated_trace_is_named(tmp_path, saved):
         file.write_bytes(whole[:size])
         with pytest.raises(BrokenFile, match=r"trace\.npz"):
             load_run(file)
+
+
+def test_a_trace_with_a_damaged_byte_is_named(tmp_path, saved):
+    """Any byte: of the directory, of a header, in the middle of what is packed."""
+    save_run(tmp_path, saved)
+    file = tmp_path / "trace.npz"
+    whole, rng = file.read_bytes(), np.random.default_rng(0)
+    said = []
+    for place in rng.integers(0, len(whole), 400).tolist():
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        try:
+            load_run(file)
+        except BrokenFile as reason:
+            said.append(str(reason))
+    assert len(said) > 200  # the rest hit a date or the like, which says nothing
+    assert not any("\n" in line for line in said)
 
 
 def test_a_pickle_is_refused(tmp_path):
@@ -118,7 +147,10 @@ def test_lessons_lie_beside_the_map_and_are_read_back(tmp_path, saved):
     assert load_lessons(tmp_path) is None
 
 
-@pytest.mark.parametrize("damage", ["cut", "share", "shape"])
+DAMAGE = ["cut", "share", "shape", "words", "fractions", "negative", "one number", "absent"]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
 def test_broken_lessons_are_named(tmp_path, damage):
     memory = LogMemory()
     memory.learn([0, 1], 0.0)
@@ -127,10 +159,17 @@ def test_broken_lessons_are_named(tmp_path, damage):
         "cut": good,
         "share": replace(good, together=1.5 * np.ones((2, 2))),
         "shape": replace(good, ids=np.arange(3)),
+        "words": replace(good, together=np.array([["a", "b"], ["c", "d"]])),
+        "fractions": replace(good, ids=np.array([0.0, np.nan])),
+        "negative": replace(good, sightings=np.array([3, -2])),
+        "one number": replace(good, ids=np.int64(4)),
+        "absent": good,
     }
     save_map(tmp_path / "map.csv", estimate([0, 1]), wrong[damage])
     file = tmp_path / "map.memory.npz"
     if damage == "cut":
         file.write_bytes(file.read_bytes()[:100])
+    if damage == "absent":
+        np.savez_compressed(file, ids=good.ids)
     with pytest.raises(BrokenFile, match=r"map\.memory\.npz"):
         load_lessons(tmp_path / "map.csv")

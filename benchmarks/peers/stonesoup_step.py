@@ -5,12 +5,10 @@ OPENBLAS_NUM_THREADS=1 python benchmarks/peers/stonesoup_step.py 100 200 500 100
 
 from __future__ import annotations
 
-import json
-import sys
-import time
 from datetime import datetime, timedelta
 
 import numpy as np
+from scene import NOISE, Scene, told
 from stonesoup.base import Property
 from stonesoup.models.base import GaussianModel
 from stonesoup.models.measurement.base import MeasurementModel
@@ -25,31 +23,20 @@ from stonesoup.updater.kalman import ExtendedKalmanUpdater
 class Sightings(MeasurementModel, GaussianModel):
     """Range and bearing of ten landmarks of the state, from the pose in its first three elements."""
 
-    near: np.ndarray = Property(doc="the landmarks seen")
+    place: Scene = Property(doc="what is seen")
 
     @property
     def ndim_meas(self) -> int:
         return 20
 
     def function(self, state, noise=False, **kwargs):
-        x = np.asarray(state.state_vector, float).ravel()
-        away = x[3:].reshape(-1, 2)[self.near] - x[:2]
-        return np.column_stack([np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0]) - x[2]]).reshape(-1, 1)
+        return self.place.expected(_plain(state))[:, None]
 
     def jacobian(self, state, **kwargs):
-        x = np.asarray(state.state_vector, float).ravel()
-        H = np.zeros((20, len(x)))
-        for k, i in enumerate(self.near):
-            dx, dy = x[3 + 2 * i : 5 + 2 * i] - x[:2]
-            q = dx * dx + dy * dy
-            r = np.sqrt(q)
-            D = np.array([[dx / r, dy / r], [-dy / q, dx / q]])
-            H[2 * k : 2 * k + 2, :2], H[2 * k + 1, 2] = -D, -1.0
-            H[2 * k : 2 * k + 2, 3 + 2 * i : 5 + 2 * i] = D
-        return H
+        return self.place.jacobian(_plain(state))
 
     def covar(self, **kwargs):
-        return np.diag([0.1, 0.02] * 10) ** 2
+        return np.diag(NOISE**2)
 
     def pdf(self, *args, **kwargs):
         raise NotImplementedError("the filter does not ask for it")
@@ -57,29 +44,26 @@ class Sightings(MeasurementModel, GaussianModel):
     rvs = logpdf = pdf
 
 
-def measure(n: int) -> float:
-    """Median ms of predict and update with ten stacked range-bearing observations."""
-    rng = np.random.default_rng(0)
-    size = 3 + 2 * n
-    landmarks = rng.uniform(-50, 50, (n, 2))
-    near = np.argsort((landmarks**2).sum(1))[:10]
-    Q = np.zeros((size, size))
-    Q[:3, :3] = np.diag([0.01, 0.01, 0.005]) ** 2
-    motion = LinearGaussianTimeInvariantTransitionModel(np.eye(size), Q)
-    sensor = Sightings(ndim_state=size, mapping=tuple(range(size)), near=near)
+def _plain(state) -> np.ndarray:
+    return np.asarray(state.state_vector, float).ravel()
+
+
+def of(place: Scene):
+    """The filter's state when asked, and its step: predict and update with stacked observations."""
+    size = len(place.x)
+    motion = LinearGaussianTimeInvariantTransitionModel(np.eye(size), place.process_noise())
+    sensor = Sightings(ndim_state=size, mapping=tuple(range(size)), place=place)
     predictor, updater = ExtendedKalmanPredictor(motion), ExtendedKalmanUpdater(sensor)
-    t = datetime(2020, 1, 1)
-    state = GaussianState(np.concatenate([np.zeros(3), landmarks.ravel()])[:, None], np.eye(size) * 0.01, t)
-    seconds = []
-    for _ in range(5 if n >= 500 else 20):
-        t += timedelta(seconds=1)
-        z = sensor.function(state) + np.tile([0.1, 0.02], 10)[:, None] * rng.standard_normal((20, 1))
-        begin = time.process_time()
-        prediction = predictor.predict(state, timestamp=t)
-        state = updater.update(SingleHypothesis(prediction, Detection(z, t, measurement_model=sensor)))
-        seconds.append(time.process_time() - begin)
-    return 1e3 * float(np.median(seconds))
+    now = [GaussianState(place.x[:, None], np.eye(size) * 0.01, datetime(2020, 1, 1))]
+
+    def step(z):
+        t = now[0].timestamp + timedelta(seconds=1)
+        prediction = predictor.predict(now[0], timestamp=t)
+        seen = Detection(z[:, None], t, measurement_model=sensor)
+        now[0] = updater.update(SingleHypothesis(prediction, seen))
+
+    return lambda: _plain(now[0]), step
 
 
 if __name__ == "__main__":
-    print(json.dumps({"name": "Stone Soup EKF", "ms": {n: measure(int(n)) for n in sys.argv[1:]}}))
+    told("Stone Soup EKF", of)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tomthumb.graves import Graveyard
 from tomthumb.lifecycle import Ledger
 from tomthumb.types import Array, Ids, Observations
 
@@ -21,6 +22,7 @@ class Branch:
     belief: Any
     ledger: Ledger
     crumbs: set[int] = field(default_factory=set)
+    graves: Graveyard = field(default_factory=Graveyard)
     log_weight: float = 0.0
     evidence: float = 0.0
     history: tuple[Any, Ids, Array] | None = None  # (earlier history, ids, pose): shared between branches

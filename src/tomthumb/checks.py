@@ -30,6 +30,8 @@ def check_observations(seen: Observations, where: str) -> None:
     m = len(seen.z)
     if seen.z.shape != (m, 2) or seen.R.shape != (m, 2, 2):
         raise TomThumbError(f"{where}: z {seen.z.shape} and R {seen.R.shape} must be (m, 2) and (m, 2, 2)")
+    if not m:
+        return
     if not np.isfinite(seen.z).all():
         raise TomThumbError(f"{where}: observation {int(np.argwhere(~np.isfinite(seen.z))[0, 0])} is not finite")
     a, b, c, d = seen.R[:, 0, 0], seen.R[:, 0, 1], seen.R[:, 1, 0], seen.R[:, 1, 1]

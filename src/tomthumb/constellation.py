@@ -14,6 +14,7 @@ import numpy as np
 
 from tomthumb.geometry import rotation, to_world, wrap_angle
 from tomthumb.kernels import constellation as kernel
+from tomthumb.kernels.grid import fill_grid
 from tomthumb.types import Array, Ids
 
 ANCHORS = 20  # pairs of local points that give motions
@@ -48,18 +49,15 @@ def fits(q: Array, covs: Array, points: Array, also: Array | None = None) -> lis
     at = q - centre
     spread = _spread(covs)
     gain = _gains(spread, points)
-    cell = GATE * float(spread.max())
-    grid = kernel.sort_cells(points, cell)
+    grid = fill_grid(points, GATE * float(spread.max()))
     anchors, tolerance = _anchors(at, spread)
     size = max(float(np.abs(at).max()), 1e-9)
     apart = np.array([2.0 * spread.mean(), 2.0 * spread.mean() / size])
-    motions, votes, _ = kernel.search(
-        at, spread, gain, anchors, tolerance, points, cell, *grid, apart, BASINS, BUDGET
-    )  # fmt: skip
+    motions, votes, _ = kernel.search(at, spread, gain, anchors, tolerance, points, *grid, apart, BASINS, BUDGET)
     starts = [m for m, v in zip(motions, votes, strict=True) if np.isfinite(v)]
     if also is not None:
         starts.append(np.append(rotation(also[2]) @ centre + also[:2], also[2]))
-    found = [_refined(m, at, spread, gain, points, cell, grid) for m in starts]
+    found = [_refined(m, at, spread, gain, points, grid) for m in starts]
     return [_about(fit, centre) for fit in _distinct(found, apart)]
 
 
@@ -100,14 +98,15 @@ def _anchors(q: Array, spread: Array) -> tuple[Ids, Array]:
     return np.column_stack([a[picked], b[picked]]), tolerance
 
 
-def _refined(
-    motion: Array, q: Array, spread: Array, gain: Array, points: Array, cell: float, grid: tuple[Array, ...]
-) -> Fit:
+Grid = tuple[float, Array, Array, Array, Array]
+
+
+def _refined(motion: Array, q: Array, spread: Array, gain: Array, points: Array, grid: Grid) -> Fit:
     """Pair up and lay on by least squares, three times over."""
     cov = np.eye(3)
     match = np.full(len(q), -1, np.int64)
     for _ in range(3):
-        match = kernel.pair_up(motion, q, GATE * spread, points, cell, *grid)
+        match = kernel.pair_up(motion, q, GATE * spread, points, *grid)
         rows = np.flatnonzero(match >= 0)
         if len(rows) < 2:
             return Fit(motion, cov, match, len(rows), -np.inf)

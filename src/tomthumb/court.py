@@ -16,6 +16,7 @@ from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.protocols import Estimator, Rng
+from tomthumb.scout import Scout, Scouting, go_along, look, put_right, sent_out, take_notes
 from tomthumb.types import Array, Estimate, Ids, Mask
 from tomthumb.watch import Consistency, Watch
 
@@ -27,45 +28,51 @@ CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own fram
 
 @dataclass(slots=True)
 class Court:
-    """The king, where there is one, the watch, and what was left behind when the family fled."""
+    """The king and the scout, where there are any, the watch, and what was left behind when the family fled."""
 
     king: King | None
+    scouting: Scouting | None = None
+    scout: Scout | None = None
     loops: Loops = field(default_factory=Loops)
     watch: Watch = field(default_factory=Watch)
     exile: Exile | None = None
     consistency: Consistency = field(default_factory=Consistency)
-    scout: Any = None
-    last: Any = None
 
     @property
     def well(self) -> bool:
         """No doubt of the watch, and the filter's surprise is what it should be."""
         return not self.watch.doubtful and self.consistency.verdict != "surprised"
 
+    def before(self, slam: Slam, moment: Moment) -> None:
+        """Before each step: the scout goes along by himself. A robot that was carried has a new one, and a new diary."""
+        if self.scouting is None:
+            return
+        if self.exile is not None:
+            self.scout = None
+            return
+        self.scout = self.scout or sent_out(slam, self.scouting)
+        if not go_along(self.scout, moment):
+            self.scout = None
+
     def attend(self, slam: Slam, scan: Scan) -> dict[str, Any]:
-        """After each scan: is all well? Flee, seek the way home, or look for a closed loop, where there is a king."""
+        """After each scan: is all well? Flee, seek the way home, or look for a closed loop, as far as that is wanted."""
         stats = slam.estimator.stats(slam.branches[0].belief)
         self.consistency.record(float(stats.get("nis", 0.0)), int(stats.get("dof", 0)))
         told = {} if self.consistency.verdict == "fine" else {"watch": self.consistency.verdict}
-        self.last = scan
-        if self.scout is not None:
-            self.scout.diary.entries[-1].scan = scan
-            if len(scan):
-                G = slam.sensor.locate(slam.estimator.pose(slam.branches[0].belief)[0], scan.honest.z)[2]
-                self.scout.noise.append(float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean())))
-            told |= self._compare(slam, scan)
-        return told | self._follow(slam, scan)
+        return told | self._ask_scout(slam, scan) | self._follow(slam, scan)
 
-    def _compare(self, slam, scan):
-        from tomthumb.scout import close, missed_loop
-
-        if slam.scan % self.scout.rules.every or not len(scan):
+    def _ask_scout(self, slam: Slam, scan: Scan) -> dict[str, Any]:
+        if self.scout is None:
             return {}
-        found = missed_loop(self.king or King(), self.scout, slam)
+        take_notes(self.scout, scan)
+        if slam.scan % self.scout.rules.every or slam.index < slam.teach_steps:
+            return {}
+        found = look(self.scout, slam)
         if found is None:
             return {}
-        close(slam, self.scout, found)
-        return {"king": "loop", "votes": found.way.fit.votes}
+        slam.branches = [put_right(self.scout, slam, found)]
+        self.watch = Watch(since=slam.scan)
+        return {"king": "loop", "votes": found.fit.votes, "twins": len(found.same)}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:
@@ -112,7 +119,7 @@ class Court:
 
     def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
         doubt = self.watch.since if self.watch.doubtful else None
-        if slam.scan % self.loops.every or not len(scan) or (doubt is None and not self.loops.drifting):
+        if slam.scan % self.loops.every or not len(scan) or doubt is None:
             return {}
         best = slam.branches[0]
         G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
@@ -121,6 +128,7 @@ class Court:
         if found is None:
             return {}
         carry(slam.estimator, best, found, slam.index, slam.scan)
+        self.scout = None
         self.watch = Watch(since=slam.scan)
         return {"king": "loop", "votes": found.way.fit.votes}
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.appearance import Crowd, Looks, Weight
+from tomthumb.graves import Grave
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 
@@ -23,7 +24,8 @@ class LifeCycle:
     hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
-    purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone.
+    purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
+    `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain.
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
@@ -37,6 +39,7 @@ class LifeCycle:
     apart: float = 0.9999
     purge: float = 0.35
     trial: int = 8
+    proof: int = 3
     in_view: float = 0.9
     merge: bool = True
     reference: bool = False
@@ -44,6 +47,11 @@ class LifeCycle:
     signature_gate: float = 0.9999
     stray: float = 0.05
     confusion: float = 0.0
+
+    @property
+    def apart2(self) -> float:
+        """Squared distance within which two things may be one."""
+        return float(chdtri(2, 1.0 - self.apart))
 
     @property
     def weight(self) -> Weight:
@@ -59,7 +67,9 @@ class LifeCycle:
 class Life:
     """What has happened to one landmark. `companions` were seen in the same scan, so they are other landmarks.
 
-    `seen` and `born`: scans of the last and the first sighting.
+    `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
+    returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
+    point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan.
     """
 
     seen: int
@@ -69,6 +79,10 @@ class Life:
     companions: set[int] = field(default_factory=set)
     looks: Looks = field(default_factory=Looks)
     born: int = 0
+    silence: float = 0.0
+    returned: int | None = None
+    place: tuple[Array, Array] | None = None
+    apart: dict[int, float] = field(default_factory=dict)
 
     @property
     def exist(self) -> float:
@@ -97,13 +111,25 @@ def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: i
         life.hits += 1.0
         life.chances += 1.0
         life.seen = scan
-        life.static += distance < gate2
+        life.static += bool(distance < gate2)
+        if life.silence >= policy.trial and life.returned is None:
+            life.returned = 0
+        if life.returned is not None:
+            life.returned += bool(distance < gate2)
+        life.silence = 0.0
+
+
+def record_places(ledger: Ledger, ids: Iterable[int], points: Array, covs: Array) -> None:
+    """Where landmarks were just seen: world points (k, 2) with covariances (k, 2, 2)."""
+    for i, point, cov in zip(ids, points, covs, strict=True):
+        ledger[i].place = (point, cov)
 
 
 def record_misses(ledger: Ledger, missed: Ids, chance: Array) -> None:
     """Landmarks well inside the field of view that were not seen: each opportunity counts as far as it was one."""
     for i, p in zip(missed.tolist(), chance.tolist(), strict=True):
         ledger[i].chances += p
+        ledger[i].silence += p
 
 
 def record_companions(ledger: Ledger, ids: list[int]) -> None:
@@ -135,9 +161,48 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
     """Stones that ought to have been seen, and crumbs that faded."""
     if policy.reference:
         return np.empty(0, np.int64)
-    gone = [i for i in stones if ledger[i].chances >= policy.trial and ledger[i].exist < policy.purge]
+    gone = [i for i in stones if _gone(ledger, i, policy)]
     gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
     return np.array(gone, np.int64)
+
+
+def _gone(ledger: Ledger, i: int, policy: LifeCycle) -> bool:
+    """A stone seen too seldom. One that came back from an absence and was confirmed anew is only hidden, for what passes
+    by does not come back; unless it is the lesser of two beside each other that are never seen together.
+    """
+    life = ledger[i]
+    if life.chances < policy.trial or life.exist >= policy.purge:
+        return False
+    proven = life.returned is not None and life.returned >= policy.proof
+    return not proven or any(j in ledger and _lesser(ledger, i, j) for j in life.apart)
+
+
+def _lesser(ledger: Ledger, i: int, j: int) -> bool:
+    return j not in ledger[i].companions and (ledger[i].hits, j) < (ledger[j].hits, i)
+
+
+def graves(ledger: Ledger, gone: Ids) -> list[Grave]:
+    """What is remembered of landmarks that are given up."""
+    lives = [ledger[i] for i in gone.tolist()]
+    return [Grave(*life.place, life.static, life.returned or 0) for life in lives if life.place is not None]
+
+
+def risen(life: Life, grave: Grave, policy: LifeCycle) -> Life:
+    """A new landmark at a grave: it has come back. Two single sightings may be clutter both, so the first one never counts
+    towards confirmation, and `few` new ones are needed.
+    """
+    static = life.static + min(grave.static - 1, max(policy.hits - policy.few, 0))
+    return replace(life, static=static, returned=life.static + grave.returned)
+
+
+def inherit(ledger: Ledger, keep: int, drop: int) -> None:
+    """Two landmarks become one: the survivor has the life of both."""
+    lost, life = ledger.pop(drop), ledger[keep]
+    life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
+    life.companions |= lost.companions
+    life.returned = max((r for r in (life.returned, lost.returned) if r is not None), default=None)
+    life.looks = life.looks.and_also(lost.looks)
+    life.seen = max(life.seen, lost.seen)
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:

@@ -6,17 +6,12 @@ A name is looked up in this order: the table below; entry points of installed pa
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import importlib.util
 import inspect
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from tomthumb.errors import TomThumbError, UnknownName
+from tomthumb.modules import module_at
 
 BUILT_IN: dict[str, dict[str, str]] = {
     "associator": {
@@ -118,7 +113,7 @@ def _entry_points(kind: str) -> dict[str, Any]:
 def _load(target: str, kind: str) -> Factory:
     """``module:Name`` or ``file.py:Name``."""
     where, _, attribute = target.rpartition(":")
-    module = _from_file(Path(where)) if where.endswith(".py") else _from_package(where, target, kind)
+    module = module_at(where, f"{kind} {target!r}")
     found = getattr(module, attribute, None)
     if found is None:
         public = [
@@ -127,33 +122,3 @@ def _load(target: str, kind: str) -> Factory:
         raise UnknownName(f"{kind} in {where}:", attribute, public)
     factory: Factory = found
     return factory
-
-
-def _from_package(name: str, target: str, kind: str) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as missing:
-        if missing.name is None or not (name == missing.name or name.startswith(missing.name + ".")):
-            raise  # the module exists, and misses something itself
-        raise TomThumbError(f"{kind} {target!r}: there is no module {missing.name!r}") from None
-
-
-def _from_file(path: Path) -> ModuleType:
-    """A file as a module; the same file gives the same module, so that its classes stay themselves."""
-    full = path.expanduser().resolve()
-    if not full.is_file():
-        raise TomThumbError(f"{path}: no such file")
-    name = f"tomthumb_file_{full.stem}_{hashlib.sha256(str(full).encode()).hexdigest()[:8]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, full)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up while it is being executed
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module

@@ -1,21 +1,23 @@
-"""The trail gone over again: the whole run filtered once more with names that are known better now.
+"""The trail gone over again: all that was given to the loop, filtered once more with names that are known better now.
 
 When a loop is closed late, what was mapped in between hangs on a wrong pose, and the filter is sure of it: to carry the
-robot over leaves a torn map behind. Where all that was given to the loop is kept, the filter can go through it again
-with the names that the closed loop implies, and no linearisation or covariance of the wrong past is left.
+robot over leaves a torn map behind. Gone through again with the names that the closed loop implies, no linearisation and
+no covariance of the wrong past is left.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
+from tomthumb.graves import Graveyard
+from tomthumb.lifecycle import Life
 from tomthumb.types import Array, Control, Ids
 
 if TYPE_CHECKING:
@@ -33,40 +35,69 @@ class Entry:
 
 @dataclass(slots=True)
 class Diary:
-    """The belief that the run began with, and all that was given to it since."""
+    """The belief it begins with, when that was (t s, the control held), and all that was given to the loop since."""
 
-    start: Any = None
+    start: Any
+    t: float = -math.inf
+    held: Control | None = None
     entries: list[Entry] = field(default_factory=list)
 
 
-def retrace(slam: Slam, diary: Diary, names: Sequence[Ids], keep: set[int]) -> tuple[Any, list[Array]]:
-    """The belief after all entries of the diary with each entry's `names`, and the pose (3,) after each.
+def begun(slam: Slam) -> Diary:
+    """A diary that begins here."""
+    return Diary(slam.estimator.fork(slam.branches[0].belief), slam.t, slam.last_control)
 
-    Landmarks of `keep` are founded as stones when they are first named; all other names are passed over.
+
+def retraced(slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int, Life]) -> Branch:
+    """The best branch after all entries of the diary with each entry's `names`; `lives` are the landmarks it will hold.
+
+    Landmarks are founded as stones when they are first named; names without a life are passed over.
     """
+    belief, poses = _filtered(slam, diary, names, set(lives))
+    best = slam.branches[0]
+    held = set(slam.estimator.estimate(belief).ids.tolist())
+    ledger = {i: life for i, life in lives.items() if i in held}
+    events, history = best.events, best.history
+    for i in sorted(set(best.ledger) - set(ledger)):
+        events = (events, "died", i, -1, slam.index)
+    for _ in names[:-1]:
+        assert history is not None
+        history = history[0]
+    for ids, pose in zip(names[:-1], poses[:-1], strict=True):
+        history = (history, ids, pose)
+    paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
+    return replace(
+        best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events, history=history,
+        ids=names[-1], paired=paired,
+    )  # fmt: skip
+
+
+def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int]) -> tuple[Any, list[Array]]:
+    """The belief at the end, and the pose (3,) after each entry."""
     walker = copy.copy(slam)
     branch = Branch(slam.estimator.fork(diary.start), {})
-    walker.branches, walker.t, walker.last_control, walker.moved = [branch], -math.inf, None, math.inf
-    have = set(slam.estimator.estimate(branch.belief).ids.tolist())
+    walker.branches, walker.t, walker.last_control = [branch], diary.t, diary.held
+    held = set(slam.estimator.estimate(branch.belief).ids.tolist())
+    if held - kept:
+        branch.belief = slam.estimator.forget(branch.belief, np.array(sorted(held - kept), np.int64))
     poses = []
     for entry, ids in zip(diary.entries, names, strict=True):
-        walker._predict(branch, entry.t, entry.control)
+        walker.predict(branch, entry.t, entry.control)
         walker.t = entry.t
         if entry.scan is not None and len(entry.scan):
-            _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(keep)), ids, -1), have)
+            _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(kept)), ids, -1), held)
         poses.append(slam.estimator.pose(branch.belief)[0])
     return branch.belief, poses
 
 
-def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, have: set[int]) -> None:
-    estimator = walker.estimator
-    known = np.isin(ids, list(have))
-    times = len(estimator.expect(branch.belief))
-    branch.belief = estimator.update(
-        branch.belief, scan.news, [np.where(known, ids, -1)] * times, walker.rng_estimator
-    )
+def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int]) -> None:
+    """One scan: known landmarks move the pose, new ones are founded and believed."""
+    estimator, rng = walker.estimator, walker.rng_estimator
+    known = np.isin(ids, list(held))
+    particles = len(estimator.expect(branch.belief))
+    branch.belief = estimator.update(branch.belief, scan.news, [np.where(known, ids, -1)] * particles, rng)
     fresh = np.where(known, -1, ids)
     if (fresh >= 0).any():
-        branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * times, walker.rng_estimator)
+        branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * particles, rng)
         branch.belief = estimator.promote(branch.belief, fresh[fresh >= 0])
-        have.update(fresh[fresh >= 0].tolist())
+        held.update(fresh[fresh >= 0].tolist())

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field, is_dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tomthumb.branches import Branch
+from tomthumb.errors import Diverged
+from tomthumb.lifecycle import copy_ledger
 from tomthumb.types import Control, Observations
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What was given to `Slam.step`, and the running number of its first observation."""
+    """What was given to `Slam.step`."""
 
     t: float
     control: Control | None
@@ -29,10 +31,16 @@ class Moment:
 
 @dataclass(slots=True)
 class Checkpoint:
-    """A twin of the loop at a good moment (it shares nothing that changes), and what has come since."""
+    """A twin of the loop at a good moment (it shares nothing that changes), and what has come since, `scans` of them."""
 
     twin: Slam
     since: list[Moment] = field(default_factory=list)
+    scans: int = 0
+
+    def note(self, moment: Moment) -> None:
+        """One moment more."""
+        self.since.append(moment)
+        self.scans += moment.observations is not None
 
 
 @dataclass(slots=True)
@@ -52,16 +60,22 @@ class Revision:
     revised: int = 0
 
     def before(self, slam: Slam, moment: Moment, well: bool) -> None:
-        """Before a step: a checkpoint where all is well and the last one is `every` scans old; the step is noted."""
+        """Before a step: a checkpoint where all is well and the last one is `every` scans old; the step is noted.
+
+        None outlives an exile: the map of the time away and the one that was left have frames of their own.
+        """
         if not self.window:
             return
-        if self.newest is None or (well and len(self.newest.since) >= self.every):
+        if slam.court.exile is not None:
+            self.older = self.newest = None
+            return
+        if self.newest is None or (well and self.newest.scans >= self.every):
             self.older, self.newest = self.newest, Checkpoint(twin_of(slam))
-        if len(self.newest.since) >= self.window:
+        if self.newest.scans >= self.window:
             self.older, self.newest = None, Checkpoint(twin_of(slam))
         for point in (self.older, self.newest):
             if point is not None:
-                point.since.append(moment)
+                point.note(moment)
 
     def after(self, slam: Slam) -> None:
         """After a step: where the evidence has just turned, the past is gone through again."""
@@ -81,9 +95,12 @@ class Revision:
         twin.width = self.brothers
         if is_dataclass(twin.associator) and hasattr(twin.associator, "brothers"):
             twin.associator = replace(twin.associator, brothers=self.brothers)
-        for moment in point.since:
-            twin.step(moment.t, moment.control, moment.observations)
         self.older = self.newest = None
+        try:
+            for moment in point.since:
+                twin.step(moment.t, moment.control, moment.observations)
+        except Diverged:
+            return None  # that past leads nowhere: what has happened stands
         best = twin.branches[0]
         return best if best.evidence > slam.branches[0].evidence + self.gain else None
 
@@ -93,16 +110,10 @@ def twin_of(slam: Slam) -> Slam:
     twin = copy.copy(slam)
     best = slam.branches[0]
     belief = slam.estimator.fork(best.belief)
-    ledger = {i: replace(life, companions=set(life.companions)) for i, life in best.ledger.items()}
-    twin.branches = [replace(best, belief=belief, ledger=ledger, crumbs=set(best.crumbs))]
-    for name in ("clutter", "detection", "surprise"):
+    twin.branches = [replace(best, belief=belief, ledger=copy_ledger(best.ledger), crumbs=set(best.crumbs))]
+    for name in ("clutter", "detection", "surprise", "crowd"):
         setattr(twin, name, copy.deepcopy(getattr(slam, name)))
     twin.rng_estimator, twin.rng_associator = (copy.deepcopy(rng) for rng in (slam.rng_estimator, slam.rng_associator))
-    twin.associator = _deaf(slam.associator)
+    twin.associator = copy.deepcopy(slam.associator)  # its memory too: the past must not be learnt twice
     twin.court, twin.revision = type(slam.court)(None), Revision()
     return twin
-
-
-def _deaf(associator: Any) -> Any:
-    """The same associator with a memory of its own, where it has one: the past must not be learnt twice."""
-    return copy.deepcopy(associator)

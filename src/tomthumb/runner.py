@@ -3,31 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
 from tomthumb.protocols import Learner
+from tomthumb.scout import Scouting
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
-LOOP = (
-    "width",
-    "faithful",
-    "frozen",
-    "king",
-    "loops",
-    "scout",
-    "lost",
-    "revision",
-)  # settings of the loop, beside the life cycle's
 Settings = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Settings of the loop (``slam.KEY``) beside those of the life cycle.
+
+    width: branches side by side. faithful: the reference program's life cycle. frozen: a map to start in stays as it is.
+    king, loops, lost, and the `revision` window in scans (0: none): docs/lost.md.
+    """
+
+    width: int = 1
+    faithful: bool = False
+    frozen: bool = False
+    king: bool = False
+    loops: bool = False
+    lost: bool = False
+    revision: int = 0
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.revision < 0:
+            raise TomThumbError(
+                f"slam.width={self.width}, slam.revision={self.revision}: at least 1 branch, and a window of 0 or more"
+            )
 
 
 def run(
@@ -76,7 +89,7 @@ def prepare(
         if part not in chosen:
             raise UnknownName("group of settings", part, chosen)
         chosen[part].update(values)
-    policy, width = _policy(chosen["slam"])
+    policy, loop = _policy(chosen["slam"])
     truth = scenario.true_ids() if associator == "oracle" or scenario.teach_steps else None
     teacher = _oracle(truth) if scenario.teach_steps and truth is not None else None
     built = _oracle(truth) if associator == "oracle" and truth is not None else _build("associator", associator, chosen)
@@ -84,28 +97,24 @@ def prepare(
     slam = Slam(
         scenario.motion, scenario.sensor, scenario.prior, built,
         _build("estimator", estimator, chosen, motion=scenario.motion, sensor=scenario.sensor),
-        policy=policy, width=width or 1, teacher=teacher, teach_steps=scenario.teach_steps,
+        policy=policy, width=loop.width, teacher=teacher, teach_steps=scenario.teach_steps,
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
-        king=_king(chosen["slam"], associator == "oracle"),
+        king=_king(loop, associator == "oracle"),
     )  # fmt: skip
-    slam.court.loops = Loops(drifting=bool(chosen["slam"].get("loops")))
-    if chosen["slam"].get("scout") and associator != "oracle":
-        from tomthumb.scout import Scout, Scouting
-
-        slam.court.scout = Scout(Scouting(window=int(chosen["slam"]["scout"])))
-    slam.revision.window = int(chosen["slam"].get("revision", 0))
+    slam.court.scouting = Scouting() if loop.loops and associator != "oracle" else None
+    slam.revision.window = loop.revision
     if start_map is not None:
-        names = _start_in(slam, scenario, start_map, associator == "oracle", bool(chosen["slam"].get("frozen")))
+        names = _start_in(slam, scenario, start_map, associator == "oracle", loop.frozen)
         if lessons is not None and isinstance(slam.associator, Learner):
             slam.associator.remind(lessons.renamed(names))
-    if chosen["slam"].get("lost"):
+    if loop.lost:
         _lost(slam, start_map)
     return slam
 
 
-def _king(values: Mapping[str, Any], oracle: bool) -> King | None:
+def _king(loop: Loop, oracle: bool) -> King | None:
     """The oracle needs no king: it is never lost. Who starts lost needs one."""
-    return King() if (values.get("king") or values.get("lost")) and not oracle else None
+    return King() if (loop.king or loop.lost) and not oracle else None
 
 
 def _lost(slam: Slam, start_map: Estimate | None) -> None:
@@ -136,22 +145,22 @@ def _build(kind: str, name: Any, chosen: Mapping[str, Mapping[str, Any]], **give
     return registry.build(kind, name, chosen[kind], **given) if isinstance(name, str) else name
 
 
-def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, int | None]:
-    """The life cycle and the number of branches from `slam.` settings."""
+def _policy(values: Mapping[str, Any]) -> tuple[LifeCycle, Loop]:
+    """The life cycle and what else the loop is told, from ``slam.`` settings. Raises UnknownName, TomThumbError."""
     from tomthumb import registry
 
-    known = [f.name for f in fields(LifeCycle)] + [*LOOP]
+    takes = {**registry.parameters_of(LifeCycle), **registry.parameters_of(Loop)}
     for key in values:
-        if key not in known:
-            raise UnknownName("setting of slam", key, known)
-    takes = registry.parameters_of(LifeCycle)
-    rest = {k: registry.checked(f"slam.{k}", v, takes[k]) for k, v in values.items() if k not in LOOP}
-    policy = LifeCycle(**rest)
-    if values.get("frozen"):
+        if key not in takes:
+            raise UnknownName("setting of slam", key, takes)
+    checked = {key: registry.checked(f"slam.{key}", value, takes[key]) for key, value in values.items()}
+    loop = Loop(**{f.name: checked.pop(f.name) for f in fields(Loop) if f.name in checked})
+    policy = LifeCycle(**checked)
+    if loop.frozen:
         from tomthumb.known_map import frozen_policy
 
         policy = frozen_policy(policy)
-    return (policy.faithful() if values.get("faithful") else policy), values.get("width")
+    return (policy.faithful() if loop.faithful else policy), loop
 
 
 def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:

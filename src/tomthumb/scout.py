@@ -1,244 +1,284 @@
-"""The scout: a brother who remembers the last scans only, and so finds out when the family walks where it has been before.
+"""The scout: a brother who remembers the last scans only, and so finds out where the family has been before.
 
 Scan by scan a long loop does not close: the filter is sure of a pose that is metres off, and displaced observations find
-wrong partners. The scout maps the last scans afresh, without the old map. What he has seen lately is right among itself,
-and fits into the old map at one place only, within the drift that odometry may have gathered. If the family has named
-those landmarks otherwise, a loop was missed: the trail is gone over again with the scout's names.
+wrong partners. The scout maps the last scans afresh, without the old map. What he has seen lately is right among itself
+and is laid on the old map as a constellation, within the drift that odometry may have gathered.
+
+    missed loop          one place explains the scout's map, and the family has named what is there otherwise
+    the same place twice two places near each other explain it, and what stands on them was never seen together
+
+Either way the trail is gone over again (`retrace`) with the scout's names.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tomthumb.branches import Branch
+from tomthumb.branches import Branch, Scan
 from tomthumb.constellation import Fit, fits
+from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, wrap_angle
-from tomthumb.king import Exile, King, Return, clear, judged
-from tomthumb.retrace import Diary, Entry, retrace
-from tomthumb.revision import twin_of
-from tomthumb.types import Array, Estimate, Ids
+from tomthumb.king import Exile, King, judged
+from tomthumb.lifecycle import Ledger, inherit
+from tomthumb.retrace import Diary, Entry, begun, retraced
+from tomthumb.revision import Moment, twin_of
+from tomthumb.types import Array, Estimate, Ids, Mask
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
 
-CERTAIN = 1e-12 * np.eye(3)
-import os
-SLACK = float(os.environ.get('SLACK','1.5'))
+CERTAIN = 1e-12 * np.eye(3)  # the scout's first pose is his map's own frame
+SLACK = 1.5  # how much less exact the scout's map is in itself than its sightings say
+STRANGERS = 0.2  # share of twins that may have been seen together, by wrong names
 
 
 @dataclass(frozen=True, slots=True)
 class Scouting:
-    """every: scans between two looks. window: scans that the scout remembers. drift: m per m of path, rad per m: what
-    odometry may have gathered. poses: of the trail, from which old landmarks would have been seen.
+    """window: scans that the scout remembers. every: scans between two looks. drift: m per m of path, rad per m: what
+    odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand
+    looks, a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the
+    trail, from which old landmarks would have been seen.
     """
 
-    every: int = 5
-    window: int = 100
+    window: int = 150
+    every: int = 10
     drift: tuple[float, float] = (0.05, 0.005)
+    sure: float = 20.0
+    lead: float = 10.0
+    votes: int = 8
     poses: int = 12
 
 
 @dataclass(slots=True)
 class Scout:
-    """The scout's own loop, and the diary of the whole run."""
+    """The scout's own loop, the diary of the run, and by scans: the path (m) and the noise (m) of a sighting.
+
+    since_scan: m of path since the last scan.
+    """
 
     rules: Scouting
-    loop: Slam | None = None
-    diary: Diary = None  # type: ignore[assignment]
-    noise: list = field(default_factory=list)
-    path: list = field(default_factory=list)
-    where: Any = None
+    loop: Slam
+    diary: Diary
+    path: list[float] = field(default_factory=list)
+    noise: list[float] = field(default_factory=list)
+    since_scan: float = 0.0
 
-    def step(self, slam: Slam, t: float, control: Any, observations: Any) -> None:
-        if self.loop is None:
-            self.diary = Diary(slam.estimator.fork(slam.branches[0].belief))
-            self.loop = send(slam)
-        self.diary.entries.append(Entry(t, control))
-        self.loop.step(t, control, observations)
-        pose = slam.estimator.pose(self.loop.branches[0].belief)[0]
-        gone = 0.0 if self.where is None else float(np.hypot(*(pose - self.where)[:2]))
-        self.where = pose
-        if observations is not None:
-            self.path.append((self.path[-1] if self.path else 0.0) + gone)
-        if observations is not None and self.loop.scan % 10 == 0:
-            forget(self.loop, self.rules.window)
+    @property
+    def branch(self) -> Branch:
+        """The scout's map and what he calls its landmarks."""
+        return self.loop.branches[0]
 
-
-def send(slam: Slam) -> Slam:
-    """A loop without a map that begins where the family believes to be."""
-    scout = twin_of(slam)
-    pose, _ = slam.estimator.pose(slam.branches[0].belief)
-    scout.branches = [Branch(slam.estimator.init(pose, CERTAIN, slam.rng_estimator), {})]
-    scout.teacher, scout.teach_steps, scout.width = None, 0, 1
-    return scout
-
-
-def forget(scout: Slam, window: int) -> None:
-    """What was not seen within the window is forgotten."""
-    branch = scout.branches[0]
-    gone = np.array([i for i, life in branch.ledger.items() if scout.scan - life.seen > window], np.int64)
-    if len(gone):
-        branch.belief = scout.estimator.forget(branch.belief, gone)
-        branch.crumbs.difference_update(gone.tolist())
-        for i in gone.tolist():
-            del branch.ledger[i]
+    def walked(self, scan: int) -> float:
+        """m of path since that scan."""
+        return self.path[-1] - self.path[max(0, min(scan - self.loop.scan + len(self.path), len(self.path) - 1))]
 
 
 @dataclass(frozen=True, slots=True)
-class Missed:
-    """A loop that was missed: which of the scout's landmarks is which old one, and the scan it is known since."""
+class Found:
+    """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
 
-    way: Return
-    since: int
+    fit: Fit
+    named: dict[int, int]
+    same: dict[int, int]
 
 
-def missed_loop(king: King, scout: Scout, slam: Slam) -> Missed | None:
-    rules, loop = scout.rules, scout.loop
-    since = slam.scan - rules.window
-    mine = loop.branches[0]
-    seen = loop.estimator.estimate(mine.belief)
-    q, ids = seen.landmarks[seen.stone], seen.ids[seen.stone]
-    if len(q) < king.votes or since <= 0:
+def sent_out(slam: Slam, rules: Scouting) -> Scout:
+    """A scout without a map who begins where the family believes to be; the diary begins here too."""
+    loop = twin_of(slam)
+    pose, _ = slam.estimator.pose(slam.branches[0].belief)
+    loop.branches = [Branch(slam.estimator.init(pose, CERTAIN, loop.rng_estimator), {})]
+    loop.teacher, loop.teach_steps, loop.width = None, 0, 1
+    return Scout(rules, loop, begun(slam))
+
+
+def go_along(scout: Scout, moment: Moment) -> bool:
+    """The scout's own step; False when his filter is lost."""
+    before = scout.loop.estimator.pose(scout.branch.belief)[0]
+    scout.diary.entries.append(Entry(moment.t, moment.control))
+    try:
+        record = scout.loop.step(moment.t, moment.control, moment.observations)
+    except Diverged:
+        return False
+    scout.since_scan += float(np.hypot(*(record.pose - before)[:2]))
+    return True
+
+
+def take_notes(scout: Scout, scan: Scan) -> None:
+    """After a scan: how the filter took it, how far the way was, and what is too long ago to be remembered."""
+    scout.diary.entries[-1].scan = scan
+    scout.path.append((scout.path[-1] if scout.path else 0.0) + scout.since_scan)
+    scout.since_scan = 0.0
+    if len(scan):
+        G = scout.loop.sensor.locate(scout.loop.estimator.pose(scout.branch.belief)[0], scan.honest.z)[2]
+        var = 0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2)
+        scout.noise.append(float(np.sqrt(var.mean())))
+        del scout.noise[: -scout.rules.window]
+    _forget(scout)
+
+
+def _forget(scout: Scout) -> None:
+    branch = scout.branch
+    gone = [i for i, life in branch.ledger.items() if scout.loop.scan - life.seen > scout.rules.window]
+    if gone:
+        branch.belief = scout.loop.estimator.forget(branch.belief, np.array(gone, np.int64))
+        branch.crumbs.difference_update(gone)
+        for i in gone:
+            del branch.ledger[i]
+
+
+# --- looking ------------------------------------------------------------------------------------------------------------
+
+
+def look(scout: Scout, slam: Slam) -> Found | None:
+    """What the scout has to say about the family's names, if he is sure."""
+    here = scout.loop.estimator.estimate(scout.branch.belief)
+    q, ids = here.landmarks[here.stone], here.ids[here.stone]
+    if len(q) < scout.rules.votes or scout.loop.scan <= scout.rules.window or not scout.noise:
         return None
-    home = slam.branches[0]
+    away = _old_map(scout, slam)
+    if len(away.old.ids) < scout.rules.votes:
+        return None
+    hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
+    spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
+    found = fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks)
+    found = [fit for fit in found if fit.votes >= scout.rules.votes and _drifted(scout, slam, fit, away)]
+    scores = [judged(King(), fit, q, away, slam.sensor).score for fit in found]
+    return _verdict(scout, slam, [found[k] for k in np.argsort(scores)[::-1]], np.sort(scores)[::-1], ids, away.old.ids)
+
+
+def _old_map(scout: Scout, slam: Slam) -> Exile:
+    """The family's stones from before the scout's time, as far as drift may have brought them near."""
+    home, since = slam.branches[0], slam.scan - scout.rules.window
     whole = slam.estimator.estimate(home.belief)
-    old = _old(home, whole, since, slam, scout)
-    if old.sum() < king.votes:
+    lives = [home.ledger[i] for i in whole.ids.tolist()]
+    walked = np.array([scout.walked(life.seen) for life in lives])
+    drift = np.maximum(scout.rules.drift[0] * walked, 5.0 * np.sqrt(np.trace(whole.pose_cov[:2, :2])))
+    reach = slam.sensor.max_range + scout.walked(since) + drift
+    old = whole.stone & (np.array([life.born for life in lives]) <= since)
+    old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
+    part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
+    trail = [pose for _, pose in zip(range(scout.rules.window), _poses(scout.branch), strict=False)]
+    some = trail[:: max(1, len(trail) // scout.rules.poses)][::-1]
+    return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
+
+
+def _drifted(scout: Scout, slam: Slam, fit: Fit, away: Exile) -> bool:
+    """The fit moves the robot no farther than odometry may have drifted since the old landmarks were last seen."""
+    matched = away.old.ids[fit.match[fit.match >= 0]]
+    walked = scout.walked(int(np.median([away.home.ledger[i].seen for i in matched.tolist()])))
+    gap = compose(fit.motion, away.trail[-1]) - away.old.pose
+    std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
+    near = np.hypot(*gap[:2]) < max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
+    return bool(near and abs(wrap_angle(gap[2])) < max(scout.rules.drift[1] * walked, std[2]))
+
+
+def _verdict(scout: Scout, slam: Slam, found: list[Fit], scores: Array, ids: Ids, old: Ids) -> Found | None:
+    """`found` and `scores`, best first: the best place, unless a rival forbids it or the family has it already."""
+    if not found or scores[0] < scout.rules.sure:
         return None
-    away = _away(home, whole, old, mine, rules)
-    noise = float(np.median(scout.noise[-rules.window:]))
-    hits = np.array([mine.ledger[i].hits for i in ids.tolist()])
-    found = fits(q, ((SLACK * noise) ** 2 / hits)[:, None, None] * np.eye(2), away.old.landmarks)
-    pose = whole.pose
-    found = [f for f in found if _drifted(f, away, home, pose, scout, whole.pose_cov)]
-    king = replace(king, rival=1.0)
-    verdicts = [judged(king, f, q, away, slam.sensor) for f in found]
-    order = sorted(range(len(found)), key=lambda k: -verdicts[k].score)
-    chosen = None
-    if order and verdicts[order[0]].score >= 20.0 and found[order[0]].votes >= king.votes:
-        if len(order) < 2 or verdicts[order[1]].score < verdicts[order[0]].score - king.lead:
-            chosen = order[0]
-    if DEBUG:
-        best = max(verdicts, key=lambda v: v.score, default=None)
-        if best is not None:
-            k = verdicts.index(best); f = found[k]
-            print(slam.index, "noise %.3f"%noise, "stones", len(q), "old", int(old.sum()), "votes", f.votes, "score %.1f" % best.score, best.holds, sorted([round(v.score) for v in verdicts])[-3:], "agree %.2f" % _agreement(ids, f, away, slam, loop, rules))
-    if chosen is None:
+    says = [dict(_pairs(fit, ids, old)) for fit in found]
+    same: dict[int, int] = {}
+    for k in range(1, len(found)):
+        twins = _twins(slam, found[0], found[k], says[0], says[k]) if scores[k] >= scout.rules.sure else {}
+        if not twins and scores[k] > scores[0] - scout.rules.lead:
+            return None
+        same |= twins
+    if not same and _agreement(scout, slam, says[0]) >= 0.5:
         return None
-    fit = found[chosen]
-    named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
-    if _agreement(ids, fit, away, slam, loop, rules) >= 0.5:
-        return None
-    return Missed(Return(fit, ids, named), since)
-
-DEBUG = False
-
-def _agreement(ids: Ids, fit: Fit, away: Exile, slam: Slam, loop: Slam, rules: Scouting) -> float:
-    """Share of the sightings of fitted landmarks that the family has named as the fit says."""
-    says = {int(i): int(away.old.ids[m]) for i, m in zip(ids, fit.match, strict=True) if m >= 0}
-    ours = [slam.branches[0].ids, *lately(slam.branches[0], rules.window - 1)]
-    his = lately(loop.branches[0], rules.window)
-    same = total = 0
-    for a, b in zip(ours, his):
-        for x, y in zip(a.tolist(), b.tolist(), strict=True):
-            if y in says:
-                total += 1
-                same += x == says[y]
-    return same / max(total, 1)
+    return Found(found[0], {i: same.get(j, j) for i, j in says[0].items()}, same)
 
 
-def lately(branch: Branch, steps: int) -> list[Ids]:
-    """Names of the last steps, newest first."""
-    out, node = [], branch.history
+def _pairs(fit: Fit, ids: Ids, old: Ids) -> Iterator[tuple[int, int]]:
+    for i, m in zip(ids.tolist(), fit.match.tolist(), strict=True):
+        if m >= 0:
+            yield i, int(old[m])
+
+
+def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[int, int]) -> dict[int, int]:
+    """Old landmarks that are one, younger to older, if two fits are one place mapped twice; none if they are rivals.
+
+    Nearer to each other than the sensor sees, both would have been in view at once: a periodic world shows them together.
+    """
+    ledger = slam.branches[0].ledger
+    if np.hypot(*(compose(best.motion, np.zeros(3)) - compose(other.motion, np.zeros(3)))[:2]) > slam.sensor.max_range:
+        return {}
+    pairs = [(says[i], also[i]) for i in says.keys() & also.keys() if says[i] != also[i]]
+    apart = [pair for pair in pairs if pair[1] not in ledger[pair[0]].companions]
+    if not apart or len(pairs) - len(apart) > STRANGERS * len(pairs):
+        return {}
+    return {max(pair, key=lambda i: (ledger[i].born, i)): min(pair, key=lambda i: (ledger[i].born, i)) for pair in apart}
+
+
+def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
+    """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
+    home = slam.branches[0]
+    ours, his = [home.ids, *_names(home, scout.rules.window - 1)], _names(scout.branch, scout.rules.window)
+    named = [(x, says[y]) for a, b in zip(ours, his, strict=False) for x, y in zip(a.tolist(), b.tolist(), strict=True) if y in says]
+    return sum(x == y for x, y in named) / max(len(named), 1)
+
+
+# --- what was found, made true ------------------------------------------------------------------------------------------
+
+
+def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
+    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now."""
+    home, steps = slam.branches[0], len(scout.diary.entries)
+    into = _survivors(home) | found.same
+    his = _names(scout.branch, min(scout.rules.window, steps))
+    ours = [home.ids, *_names(home, steps - 1)]
+    names = [_renamed(ids, into) for ids in ours]
+    names[: len(his)] = [_renamed(_renamed(ids, found.named), into) for ids in his]
+    return retraced(slam, scout.diary, names[::-1], _lives(scout, home, found))
+
+
+def _lives(scout: Scout, home: Branch, found: Found) -> Ledger:
+    """The landmarks that stay: the family's old stones, twins as one, and the scout's that are new."""
+    since = scout.loop.scan - scout.rules.window
+    lives = {i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs}
+    for drop, keep in found.same.items():
+        if drop in lives and keep in lives:
+            inherit(lives, keep, drop)
+    for i, life in scout.branch.ledger.items():
+        if i in found.named and found.named[i] in lives:
+            both = {found.named[i]: lives[found.named[i]], i: life}
+            inherit(both, found.named[i], i)
+        elif i not in scout.branch.crumbs and i not in lives:
+            lives[i] = life
+    return lives
+
+
+def _names(branch: Branch, steps: int) -> list[Ids]:
+    """Names of the last steps of a branch's history, newest first."""
+    out: list[Ids] = []
+    node = branch.history
     while node is not None and len(out) < steps:
         node, ids, _ = node
         out.append(ids)
     return out
 
 
-def _old(home: Branch, whole: Estimate, since: int, slam: Slam, scout: Scout):
-    born = np.array([home.ledger[i].born for i in whole.ids.tolist()])
-    old = whole.stone & (born <= since)
-    seen = np.array([home.ledger[i].seen for i in whole.ids.tolist()])
-    path = scout.path[-1] - np.array(scout.path)[np.minimum(seen, len(scout.path) - 1)]
-    reach = slam.sensor.max_range + (scout.path[-1] - scout.path[max(since, 0)]) + np.maximum(scout.rules.drift[0] * path, 5.0 * np.sqrt(np.diag(whole.pose_cov)[:2].sum()))
-    old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
-    return old
-
-
-def _away(home: Branch, whole: Estimate, old, mine: Branch, rules: Scouting) -> Exile:
-    part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
-    exist = np.array([home.ledger[i].exist for i in part.ids.tolist()])
-    poses, node = [], mine.history
-    while node is not None and len(poses) < rules.window:
-        node, _, pose = node
-        poses.append(pose)
-    return Exile(home, part, exist, believed=False, trail=poses[:: max(1, len(poses) // rules.poses)][::-1])
-
-
-def _drifted(fit: Fit, away: Exile, home: Branch, pose: Array, scout: Scout, cov) -> bool:
-    matched = away.old.ids[fit.match[fit.match >= 0]]
-    if not len(matched):
-        return False
-    rules = scout.rules
-    last = int(np.median([home.ledger[i].seen for i in matched.tolist()]))
-    newest = max(life.seen for life in home.ledger.values())
-    poses, node = [], home.history
-    while node is not None and len(poses) < newest - last:
-        node, _, p = node
-        poses.append(p)
-    path = float(np.hypot(*np.diff(np.array(poses)[:, :2], axis=0).T).sum()) if len(poses) > 1 else 0.0
-    gap = compose(fit.motion, away.trail[-1]) - pose
-    std = 5.0 * np.sqrt(np.diag(cov))
-    path = max(path, 0.0)
-    near = np.hypot(*gap[:2]) < max(rules.drift[0] * path, float(np.hypot(*std[:2])))
-    return bool(near and abs(wrap_angle(gap[2])) < max(rules.drift[1] * path, std[2]))
-
-
-def close(slam: Slam, scout: Scout, missed: Missed) -> None:
-    home, mine = slam.branches[0], scout.loop.branches[0]
-    named = {i: j for i, j in zip(missed.way.ids.tolist(), missed.way.named.tolist(), strict=True) if j >= 0}
-    n = len(scout.diary.entries)
-    window = scout.rules.window
-    ours = [home.ids, *lately(home, n - 1)][::-1]
-    his = lately(mine, min(window, n))
-    names = _survivors(ours, home)
-    for k, ids in enumerate(his):
-        names[n - 1 - k] = np.array([named.get(i, i) for i in ids.tolist()], np.int64)
-    keep = {i for i, life in home.ledger.items() if life.born <= missed.since and i not in home.crumbs}
-    fresh = {i: mine.ledger[i] for i in mine.ledger if i not in mine.crumbs and i not in named}
-    fresh = {i: life for i, life in fresh.items() if i not in keep}
-    belief, poses = retrace(slam, scout.diary, names, keep | set(fresh))
-    have = set(slam.estimator.estimate(belief).ids.tolist())
-    for i in [i for i in home.ledger if i not in keep]:
-        home.events = (home.events, "died", i, -1, slam.index)
-    ledger = {i: home.ledger[i] for i in keep if i in have} | {i: replace(l, born=l.born) for i, l in fresh.items() if i in have}
-    for i, j in named.items():
-        if j in ledger:
-            life, lost = ledger[j], mine.ledger[i]
-            life.hits += lost.hits; life.chances += lost.hits; life.static += lost.static; life.seen = max(life.seen, lost.seen)
-    home.belief, home.ledger, home.crumbs = belief, ledger, set()
-    node = None
-    for ids, pose in zip(names[:-1], poses[:-1], strict=True):
-        node = (node, ids, pose)
-    home.history = node
-    home.ids = names[-1]
-    home.paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
-
-
-def _survivors(names: Sequence[Ids], home: Branch) -> list[Ids]:
-    into, node = {}, home.events
+def _poses(branch: Branch) -> Iterator[Array]:
+    """Poses of a branch's history, newest first."""
+    node = branch.history
     while node is not None:
+        node, _, pose = node
+        yield pose
+
+
+def _survivors(branch: Branch) -> dict[int, int]:
+    """What every merged landmark has become."""
+    into: dict[int, int] = {}
+    node = branch.events
+    while node is not None:  # newest first, so that the survivor's own fate is known already
         node, kind, one, other, _ = node
         if kind == "merged":
-            into[one] = other
-    def last(i):
-        while i in into:
-            i = into[i]
-        return i
-    return [np.array([last(i) for i in ids.tolist()], np.int64) for ids in names]
+            into[one] = into.get(other, other)
+    return into
+
+
+def _renamed(ids: Ids, into: dict[int, int]) -> Any:
+    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)

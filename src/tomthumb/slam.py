@@ -24,8 +24,10 @@ from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
+from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
+from tomthumb.twins import record_apart
 from tomthumb.types import (
     Array,
     Association,
@@ -102,11 +104,11 @@ class Slam:
         begin = perf_counter()
         seen = observations or EMPTY
         check_step(self.index, t, self.t, control, seen)
-        self.revision.before(self, Moment(t, control, observations), self.court.well)
-        if self.court.scout is not None:
-            self.court.scout.step(self, t, control, observations)
+        moment = Moment(t, control, observations)
+        self.revision.before(self, moment, self.court.well)
+        self.court.before(self, moment)
         for branch in self.branches:
-            self._predict(branch, t, control)
+            self.predict(branch, t, control)
         self.t = t
         predicted = perf_counter()
         serials = np.arange(self.serial, self.serial + len(seen))
@@ -124,7 +126,7 @@ class Slam:
 
     # --- prediction -------------------------------------------------------------------------------------------------
 
-    def _predict(self, branch: Branch, t: float, control: Control | None) -> None:
+    def predict(self, branch: Branch, t: float, control: Control | None) -> None:
         """Controls cover the `dt` that ends at t; what a held control has already covered is not moved twice."""
         if control is None:
             if self.last_control is None or not self.motion.rates or t <= self.t:
@@ -172,7 +174,7 @@ class Slam:
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
-            self.associator.learn(best.ids[~np.isin(best.ids, list(best.crumbs))], self.t)
+            self.associator.learn(best.ids[~_among(best.ids, best.crumbs)], self.t)
         return spent, infos
 
     def _apart(self, branches: list[Branch]) -> list[Branch]:
@@ -250,9 +252,12 @@ class Slam:
         hit = ids >= 0
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
+        here, names = self.estimator.pose(branch.belief), np.where(born, scan.serials, ids)
+        look_back(branch, here, self.sensor, scan.honest, names, born, self.policy)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
         if self.policy.merge and hit.any():
+            self._absorb(branch, predictions, set(ids[hit].tolist()), scan)
             self._merge(branch, predictions, set(ids[hit].tolist()))
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
@@ -282,6 +287,13 @@ class Slam:
             known = inside & predictions.stone
             self.court.look(branch, predictions.ids, known, seen, chance, len(scan), self.scan)
             self.detection.record(predictions.points[known], seen[known])
+
+    def _absorb(self, branch: Branch, predictions: Predictions, hit: set[int], scan: Scan) -> None:
+        """Of two stones that stand for one thing the one seen less is left out; where it was tells nothing."""
+        for keep, drop in record_apart(branch.ledger, predictions, hit, self.detection, scan.honest, self.policy):
+            if keep in branch.ledger and drop in branch.ledger:
+                branch.belief = self.estimator.forget(branch.belief, np.array([drop]))
+                self._united(branch, keep, drop)
 
     def _births(self, branch: Branch, scan: Scan, named: Sequence[Ids]) -> tuple[Any, Ids]:
         """Observations that found a crumb (m,) bool, and those named late (m,), both for the first particle."""
@@ -325,6 +337,7 @@ class Slam:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
         gone = lifecycle.deaths(branch.ledger, expected, branch.crumbs, self.scan, self.policy)
         if len(gone):
+            branch.graves = branch.graves.and_buried(lifecycle.graves(branch.ledger, gone))
             branch.belief = self.estimator.forget(branch.belief, gone)
             branch.crumbs.difference_update(gone.tolist())
         for i in gone.tolist():
@@ -339,15 +352,10 @@ class Slam:
     def unite(self, branch: Branch, keep: int, drop: int) -> None:
         """Two stones of a branch become one; the survivor inherits hits and companions."""
         branch.belief = self.estimator.merge(branch.belief, keep, drop)
-        lost, life = branch.ledger.pop(drop), branch.ledger[keep]
-        life.hits, life.chances, life.static = (
-            life.hits + lost.hits,
-            life.chances + lost.hits,
-            life.static + lost.static,
-        )
-        life.companions |= lost.companions
-        life.looks = life.looks.and_also(lost.looks)
-        life.seen = max(life.seen, lost.seen)
+        self._united(branch, keep, drop)
+
+    def _united(self, branch: Branch, keep: int, drop: int) -> None:
+        lifecycle.inherit(branch.ledger, keep, drop)
         branch.events = (branch.events, "merged", drop, keep, self.index)
 
     def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:
@@ -365,7 +373,7 @@ class Slam:
         begin, predicted, spent = clock
         end = perf_counter()
         seconds = (predicted - begin, spent, end - predicted - spent, 0.0)
-        stone = (best.paired >= 0) & ~np.isin(best.paired, list(best.crumbs))
+        stone = (best.paired >= 0) & ~_among(best.paired, best.crumbs)
         return StepRecord(
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
@@ -375,6 +383,12 @@ class Slam:
 def _spent(answer: Association) -> dict[str, Any]:
     """What the record of a step tells of an answer: what was spent and proven, and how sure each decision is."""
     return dict(answer.info) if answer.confidence is None else {**answer.info, "confidence": answer.confidence}
+
+
+def _among(ids: Ids, crumbs: set[int]) -> Mask:
+    """Which ids (m,) are crumbs. Looked up one by one: most steps have no scan, and m is small beside their number."""
+    found: Mask = np.array([i in crumbs for i in ids.tolist()], bool)
+    return found
 
 
 def _wrapped(sensor: Sensor) -> Mask:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ import numpy as np
 
 from tomthumb.errors import BrokenFile, TomThumbError
 from tomthumb.metrics.truth import TruthTable
+from tomthumb.scenarios.reading import BROKEN, BROKEN_ZIP
 from tomthumb.types import Array, Estimate, Lessons, Trace
 
 FORMAT = 1
@@ -69,14 +69,20 @@ def save_map(path: Path, estimate: Estimate, lessons: Lessons | None = None) -> 
     What was learned about them goes into a file beside it, map.memory.npz for map.csv; one that is there from an earlier
     map, and would not fit this one, is removed.
     """
-    _save_lessons(_beside(path), lessons)
+    with writing(path):
+        _beside(path).unlink(missing_ok=True)  # first: whenever this is killed, no memory lies beside a foreign map
     covs = estimate.covs
     numbers = np.column_stack([estimate.landmarks, covs[:, 0, 0], covs[:, 0, 1], covs[:, 1, 1]])
-    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(MAP_COLUMNS)
-        for i, values, stone in zip(estimate.ids, numbers, estimate.stone, strict=True):
-            rows.writerow([int(i), *(f"{v:.12g}" for v in values), int(stone)])
+    part = path.with_name(path.name + ".part")
+    with writing(path):
+        with part.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            rows.writerow(MAP_COLUMNS)
+            for i, values, stone in zip(estimate.ids, numbers, estimate.stone, strict=True):
+                rows.writerow([int(i), *(f"{v:.12g}" for v in values), int(stone)])
+        part.replace(path)  # whole or not at all: a shorter map would not show that it was cut
+    if lessons is not None:
+        _save_lessons(_beside(path), lessons)
 
 
 def load_map(path: Path) -> Estimate:
@@ -96,13 +102,21 @@ def load_lessons(path: Path) -> Lessons | None:
     if not file.is_file():
         return None
     with reading(file, "a memory"), file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
+        if not _is_memory(*(stored[name] for name in LESSONS)):
+            raise BrokenFile(file, "is not a memory: shares between 0 and 1 of as many landmarks as it names")
         ids, sightings, together, lately, total = (stored[name] for name in LESSONS)
-        found = Lessons(ids.astype(np.int64), sightings.astype(np.int64), together, lately, int(total))
-    k = len(found.ids)
-    fits = together.shape == (k, k) and sightings.shape == lately.shape == (k,) and len(np.unique(ids)) == k
-    if not (fits and ((together > 0) & (together < 1)).all() and ((lately > 0) & (lately < 1)).all()):
-        raise BrokenFile(file, "is not a memory: shares between 0 and 1 of as many landmarks as it names")
-    return found
+        return Lessons(ids.astype(np.int64), sightings.astype(np.int64), together, lately, int(total))
+
+
+def _is_memory(ids: Any, sightings: Any, together: Any, lately: Any, total: Any) -> bool:
+    """Whether arrays of a file can be `Lessons`."""
+    if ids.ndim != 1 or len(np.unique(ids)) < len(ids):
+        return False
+    k = len(ids)
+    fits = sightings.shape == lately.shape == (k,) and together.shape == (k, k) and total.shape == ()
+    counts = all(n.dtype.kind == "i" and (n >= 0).all() for n in (ids, sightings, total))
+    shares = all(p.dtype == np.float64 and ((p > 0) & (p < 1)).all() for p in (together, lately))
+    return fits and counts and shares
 
 
 def _beside(path: Path) -> Path:
@@ -110,14 +124,10 @@ def _beside(path: Path) -> Path:
     return path.with_name("map.memory.npz") if path.suffix == ".npz" else path.with_suffix(".memory.npz")
 
 
-def _save_lessons(path: Path, lessons: Lessons | None) -> None:
-    with writing(path):
-        if lessons is None:
-            path.unlink(missing_ok=True)
-            return
-        arrays: dict[str, Any] = {name: np.asarray(getattr(lessons, name)) for name in LESSONS}
-        with path.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+def _save_lessons(path: Path, lessons: Lessons) -> None:
+    arrays: dict[str, Any] = {name: np.asarray(getattr(lessons, name)) for name in LESSONS}
+    with writing(path), path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def _map_from_csv(path: Path) -> Estimate:
@@ -216,5 +226,5 @@ def reading(path: Path, what: str) -> Iterator[None]:
         raise
     except OSError as reason:
         raise BrokenFile(path, f"cannot be read as {what}: {reason.strerror or reason}") from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as reason:
+    except (ValueError, KeyError, TypeError, *BROKEN, *BROKEN_ZIP) as reason:
         raise BrokenFile(path, f"is not {what}, or is damaged ({type(reason).__name__}: {reason})") from None

@@ -67,15 +67,17 @@ class Consistency:
     """
 
     last: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=SCANS))
+    verdict: str = (
+        "fine"  # fine, surprised (NIS too large) or timid (too small): asked for at every step, so it is kept
+    )
 
     def record(self, nis: float, dof: int) -> None:
         """One scan's NIS; a scan without pairings says nothing."""
         if dof:
             self.last.append((nis, dof))
+            self.verdict = self._judged()
 
-    @property
-    def verdict(self) -> str:
-        """fine, surprised (NIS too large) or timid (too small)."""
+    def _judged(self) -> str:
         total, dof = sum(nis for nis, _ in self.last), sum(d for _, d in self.last)
-        p = float(chdtr(dof, total)) if dof else 0.5
+        p = float(chdtr(dof, total))
         return "surprised" if p > 1.0 - 0.5 * TAIL else "timid" if p < 0.5 * TAIL else "fine"

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
+import numpy as np
+
 from tomthumb.errors import TomThumbError
 from tomthumb.protocols import Associator, Rng
 from tomthumb.runner import prepare
@@ -15,7 +17,7 @@ from tomthumb.types import Association, AssociationProblem, Ids, Scenario, StepR
 
 @dataclass(slots=True)
 class Witness:
-    """Hands everything on to `inner`, and keeps each problem with the best answer until `cases` is emptied."""
+    """Hands everything on to `inner`, and keeps each problem with each of its answers until `cases` is emptied."""
 
     inner: Associator
     cases: list[tuple[AssociationProblem, Association]] = field(default_factory=list)
@@ -23,7 +25,7 @@ class Witness:
     def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
         """See `protocols.Associator`."""
         answers = self.inner.associate(problem, rng)
-        self.cases.append((problem, answers[0]))
+        self.cases += [(problem, answer) for answer in answers]
         return answers
 
     def learn(self, ids: Ids, t: float) -> None:
@@ -33,7 +35,7 @@ class Witness:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One scan of a run: its record, what the best branch's associator (or the teacher) was asked, and the answer."""
+    """One scan of a run: its record, what the associator (or the teacher) was asked, and the answer that was followed."""
 
     record: StepRecord
     problem: AssociationProblem
@@ -65,4 +67,17 @@ def case_at(scenario: Scenario, step: int, **parts: Any) -> Case:
         raise TomThumbError(f"step {step} does not exist; the run has {0 if record is None else record.index + 1}")
     if not cases or not len(record.serials):
         raise TomThumbError(f"step {step} has no observations")
-    return Case(record, *cases[0])
+    return Case(record, *_followed(record, cases))
+
+
+def _followed(
+    record: StepRecord, cases: Sequence[tuple[AssociationProblem, Association]]
+) -> tuple[AssociationProblem, Association]:
+    """The problem and answer behind what the record says: with several branches the best one before need not be after."""
+    agreed = []
+    for problem, answer in cases:
+        rows = np.flatnonzero(answer.match >= 0)
+        if np.array_equal(problem.predictions.ids[answer.match[rows]], record.ids[rows]):
+            agreed.append((len(rows), problem, answer))
+    _, problem, answer = max(agreed, key=lambda case: case[0], default=(0, *cases[0]))
+    return problem, answer

@@ -11,8 +11,9 @@ from associators.brute import random_problem, tabulate
 from tomthumb.associators.tom_thumb import TomThumb
 from tomthumb.associators.tom_thumb.basins import NO_LABELS
 from tomthumb.associators.tom_thumb.scene import base_gains, lever, rigid, window
-from tomthumb.kernels import flights, motion, posterior
+from tomthumb.kernels import motion, posterior
 from tomthumb.kernels.gates import innovations
+from tomthumb.kernels.grid import fill_grid
 from tomthumb.types import AssociationProblem, Predictions
 
 
@@ -60,11 +61,9 @@ def test_the_window_holds_the_brute_force_gate(seed, gate):
 def test_local_candidates_are_all_points_within_reach_under_the_pose(seed, reach):
     """Rings enough for any reach: never a silent cut."""
     rng = np.random.default_rng(seed)
-    q, points, cell = rng.uniform(-3, 3, (5, 2)), rng.uniform(-3, 3, (30, 2)), 0.4
+    q, points = rng.uniform(-3, 3, (5, 2)), rng.uniform(-3, 3, (30, 2))
     pose = rng.uniform(-1, 1, 3)
-    start, columns = motion.local_candidates(
-        pose, q, np.full(5, reach), points, cell, *flights.fill_grid(points, cell), NO_LABELS
-    )
+    start, columns = motion.local_candidates(pose, q, np.full(5, reach), points, *fill_grid(points, 0.4), NO_LABELS)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     moved = points @ np.array([[c, -s], [s, c]]).T + pose[:2]
     for i in range(5):
@@ -108,9 +107,8 @@ def test_the_refined_pose_is_the_true_one():
     for _ in range(5):
         problem, truth, error = wide(rng, 32)
         s = rigid(problem, *base_gains(problem, None))
-        gate2, cell = 27.6, 0.5
-        grid = flights.fill_grid(s.p, cell)
-        start, columns = motion.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, cell, *grid, NO_LABELS)
+        gate2, grid = 27.6, fill_grid(s.p, 0.5)
+        start, columns = motion.local_candidates(error, s.q, np.full(len(s.q), 0.4), s.p, *grid, NO_LABELS)
         rough = error + np.array([0.05, -0.05, 0.01])
         prior = np.linalg.inv(s.Xi)
         at, M, match, _ = motion.refine(rough, s.q, s.R, s.p, s.D, s.base, s.odds, prior, start, columns, gate2, 3)
@@ -201,10 +199,10 @@ def test_confidence_is_a_probability_and_matches_are_one_to_one(seed, m, n, bear
 
 def test_a_basin_already_entered_is_not_entered_again():
     problem, _, error = wide(np.random.default_rng(7), 20)
-    s, cell = rigid(problem, *base_gains(problem, None)), 0.5
-    args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5), cell)
+    s = rigid(problem, *base_gains(problem, None))
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5))
     apart = np.array([0.3, 0.1])
-    rest = (*flights.fill_grid(s.p, cell), NO_LABELS, 27.6, apart, 3)
+    rest = (*fill_grid(s.p, 0.5), NO_LABELS, 27.6, apart, 3)
     ends, _, _, values = motion.descend(np.array([error]), *args, *rest)
     again = np.array([error, ends[0] + 0.05 * np.array([0.3, 0.0, 0.1]), ends[0] + np.array([2.0, 0.0, 0.0])])
     _, _, matches, values = motion.descend(again, *args, *rest)

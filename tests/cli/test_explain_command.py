@@ -69,6 +69,17 @@ def test_taught_steps_are_the_teachers():
     assert (truth[case.record.serials[rows]] == truth[founders]).all()
 
 
+@pytest.mark.parametrize("step", [58, 59, 60])
+def test_of_several_branches_the_answer_that_was_followed_is_told(step):
+    """In step 59 the branch that was best before the scan is not the best after it."""
+    world = tomthumb.load("cloister", seed=1, odometry_noise=8.0)
+    brothers = {"slam": {"width": 8}, "associator": {"brothers": 8}}
+    case = case_at(world, step, seed=1, settings=brothers)
+    rows = np.flatnonzero(case.answer.match >= 0)
+    assert len(rows) > 1
+    assert case.problem.predictions.ids[case.answer.match[rows]].tolist() == case.record.ids[rows].tolist()
+
+
 def test_from_plain_arrays():
     rng = np.random.default_rng(0)
     z_hat = np.array([[4.0, -0.5], [4.0, 0.0], [4.0, 0.5]])

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tomthumb.geometry import align, between, compose, compose_jacobians, inverse, to_frame, to_world, wrap
-from tomthumb.models.motion import Ackermann, OdometryIncrement, Velocity, arc
+from tomthumb.kernels.ekf import move
+from tomthumb.kernels.odometry import arc
+from tomthumb.models.motion import Ackermann, OdometryIncrement, Velocity
 from tomthumb.models.sensor import Cartesian, RangeBearing
 from tomthumb.types import Control
 
@@ -122,3 +124,21 @@ def test_field_of_view_follows_the_uncertainty():
     flat = Cartesian(max_range=5.0, fov=np.pi)
     points = np.column_stack([z[:, 0] * np.cos(z[:, 1]), z[:, 0] * np.sin(z[:, 1])])
     assert_allclose(flat.in_view(points, sure), [1, 0, 0, 0.5], atol=1e-9)
+
+
+@given(st.floats(-4, 8), st.floats(-0.6, 0.6), st.floats(0.001, 0.3), st.floats(-3, 3))
+def test_moving_the_filter_is_composing(speed, steering, dt, heading):
+    car = Ackermann(ahead=1.0, left=0.2, pose_std=(0.02, 0.03, 0.01))
+    delta, cov = car.increment(Control(np.array([speed, steering]), dt))
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(7, 7))
+    P, x = np.asfortranarray(A @ A.T), np.array([1.0, 2.0, heading, *rng.normal(size=4)])
+    F, G = compose_jacobians(x[:3], delta)
+    J = rng.normal(size=(3, 2))
+    D = np.eye(7)
+    D[:3, :3], D[:3, 3:5] = F, G @ J
+    wanted, pose = D @ P @ D.T, compose(x[:3], delta)
+    wanted[:3, :3] += G @ cov @ G.T
+    move(P, x, 7, *delta.tolist(), cov, J)
+    assert_allclose(np.tril(P), np.tril(wanted), atol=1e-12)
+    assert_allclose(x[:3], pose, atol=1e-14)

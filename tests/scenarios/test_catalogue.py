@@ -44,7 +44,7 @@ def test_degrees_become_radians():
         ("car_park", "needs"),
         ("cloister:somewhere", "takes no path"),
         ("./nowhere/log.jsonl", "no such file"),
-        ("no_module_here:world", "no module named"),
+        ("no_module_here:world", "no module 'no_module_here'"),
         ("tomthumb.geometry:wrong", "unknown function"),
         ("./nowhere.py:world", "no such file"),
         ("car_park:/nowhere", "no such file"),

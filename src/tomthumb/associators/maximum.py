@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
-from tomthumb.associators.candidates import gated
-from tomthumb.associators.tom_thumb.scene import base_table, window
+from tomthumb.associators.tom_thumb.scene import base_table, gate_of_two, window
 from tomthumb.errors import TomThumbError
 from tomthumb.kernels import posterior
 from tomthumb.protocols import Rng
-from tomthumb.types import Array, Association, AssociationProblem, Ids
+from tomthumb.types import Association, AssociationProblem, Ids
 
 NO_LIMIT = int(np.iinfo(np.int64).max)
 
@@ -41,32 +39,15 @@ class MaximumPosterior:
         m, n = problem.shape
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64), info={"nodes": 0, "proof": "optimal", "objective": 0.0})]
-        pool, values, nodes, proven = self._search(problem, base_table(problem))
+        near, gate2 = window(problem.weighed_d2, self.gate), gate_of_two(self.gate)
+        given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base_table(problem))
+        pool, values, nodes, proven = posterior.solve(
+            *given, near.start, near.columns, gate2, self.slack if self.hypotheses > 1 else 0.0,
+            self.budget or NO_LIMIT, self.hypotheses,
+        )  # fmt: skip
         info = {"nodes": nodes, "proof": "optimal" if proven else "truncated", "objective": float(values[0])}
         kept = np.flatnonzero(np.isfinite(values) & (values >= values[0] - self.slack))
         return [Association(pool[k], float(values[k] - values[0]), info) for k in kept[: self.hypotheses]]
 
-    def _search(self, problem: AssociationProblem, base: Array) -> tuple[Ids, Array, int, bool]:
-        """Hypotheses (K, m) best first with their L (K,), nodes, and whether the first is proven."""
-        m = len(problem.z)
-        gate2 = float(chdtri(2, 1.0 - self.gate))
-        near, listed = window(problem.weighed_d2, self.gate), gated(problem.weighed_d2, gate2)
-        given = (problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base)
-        first, value = posterior.complete(np.full(m, -1, np.int64), *given, near.start, near.columns, gate2)
-        pool, values = np.full((self.hypotheses, m), -1, np.int64), np.full(self.hypotheses, -np.inf)
-        nodes, proven = posterior.search(
-            *given, _most_possible(problem, base, gate2), listed.order, listed.start, listed.columns,
-            np.full(m + 1, np.inf), first, value, self.slack if self.hypotheses > 1 else 0.0,
-            self.budget or NO_LIMIT, pool, values,
-        )  # fmt: skip
-        return pool, values, nodes, proven
-
     def learn(self, ids: Ids, t: float) -> None:
         """Nothing to learn."""
-
-
-def _most_possible(problem: AssociationProblem, base: Array, gate2: float) -> Array:
-    """The most (m,) that each observation can add to L: S given all other pairs is never less than R."""
-    perfect = -0.5 * np.log(np.linalg.det(problem.R)) - posterior.LOG_2PI
-    best: Array = np.where(problem.weighed_d2 < gate2, base + perfect[:, None], 0.0).max(1)
-    return np.maximum(best, 0.0)

@@ -32,6 +32,9 @@ COMMANDS = {
 }
 
 
+USAGE: type[Exception] = typer.BadParameter.__mro__[1]  # click's UsageError, under whichever roof typer keeps click
+
+
 class Commands(TyperGroup):
     """The table above as a group of commands (click asks for a subclass to load commands when they are named)."""
 
@@ -48,6 +51,14 @@ class Commands(TyperGroup):
         single = typer.Typer(add_completion=False)
         single.command(cmd_name)(getattr(import_module(module), function))
         return typer.main.get_command(single)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that is named. What its options do not take is said in one line, like all bad input."""
+        try:
+            return super().invoke(ctx)
+        except USAGE as reason:
+            text = " ".join(reason.format_message().split()).rstrip(".")  # type: ignore[attr-defined]
+            raise TomThumbError(f"{text} (tomthumb {ctx.invoked_subcommand} --help)") from None
 
 
 app = typer.Typer(

@@ -23,6 +23,7 @@ UNSEEN = 1e-4  # a landmark less likely to be in view than this is not offered t
 CALIBRATION = -2  # the "id" of a pair of calibration states
 NOWHERE = np.zeros(3)
 NO_ROWS = np.empty((0, 0))
+NO_COLUMNS = np.empty((3, 0))
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,9 @@ class Core:
         if self.calibrate:
             delta, cov, J = sensitivity(self.motion, control, self.calibrate, b.x[3 : 3 + len(self.calibrate)])
         else:
-            delta, cov = self.motion.increment(control)
-        F, G = geometry.compose_jacobians(b.pose, delta)
-        b.x[:3] = geometry.compose(b.pose, delta)
-        noise = G @ cov @ G.T
-        by_other = G @ J if self.calibrate else np.zeros((3, 0))
-        kernel.move_pose(b.P, b.dim, F, by_other, noise)
+            (delta, cov), J = self.motion.increment(control), NO_COLUMNS
+        dx, dy, turn = delta.tolist()
+        F, by_other = kernel.move(b.P, b.x, b.dim, dx, dy, turn, np.array(cov, float, order="C"), J)
         if b.transfer is not None:
             T = b.transfer.T
             T[:3] = F @ T[:3] + by_other @ T[3 : 3 + by_other.shape[1]]

@@ -212,8 +212,7 @@ class FastSLAM:
         b, m = belief, belief.maps
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
         b.named = self._all_named(b, observations, ids)
-        slots = np.array([[m.slot.get(i, -1) for i in row] for row in b.named.tolist()], np.int64)
-        slots = slots.reshape(len(b.pose), len(z))
+        slots = _slots(m, b.named)
         firm = (slots >= 0) & m.stone[slots] if len(m.stone) else slots >= 0
         if self.negative:
             v = self._look(b)
@@ -368,6 +367,13 @@ def _first(order: Ids, best: int) -> Ids:
     swapped = order.copy()
     swapped[0], swapped[place] = order[place], order[0]
     return swapped
+
+
+def _slots(m: Pages, named: Ids) -> Ids:
+    """The slot of each id, -1 for none. Particles mostly agree, so each id is looked up once."""
+    ids, places = np.unique(named, return_inverse=True)
+    slots: Ids = np.array([m.slot.get(i, -1) for i in ids.tolist()], np.int64)[places].reshape(named.shape)
+    return slots
 
 
 def _in_body(b: Particles) -> Array:

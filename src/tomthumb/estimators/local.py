@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg.lapack import dgeqrf, dormqr
 
 from tomthumb.estimators import gaussian
 from tomthumb.estimators.gaussian import Gaussian, Transfer
@@ -160,11 +160,20 @@ def _factors(U: Array, Psi: Array, largest: float) -> tuple[Array, Array]:
     """
     if len(U) < WORTH * U.shape[1]:
         return np.asfortranarray(U @ -Psi), U
-    Q, R = qr(U, mode="economic", overwrite_a=False, check_finite=False)
+    packed, tau, R = _reflectors(U)
     mu, V = np.linalg.eigh(R @ Psi @ R.T)
     kept = np.abs(mu) > EPS * largest
-    A = np.asfortranarray(Q @ V[:, kept])
+    A = np.zeros((len(U), int(kept.sum())), order="F")
+    A[: len(V)] = V[:, kept]
+    A = dormqr("L", "N", packed, tau, A, 64 * max(A.shape[1], 1), overwrite_c=True)[0]
     return A, np.asfortranarray(A * -mu[kept])
+
+
+def _reflectors(U: Array) -> tuple[Array, Array, Array]:
+    """U = Q R with Q as LAPACK's reflectors: Q itself is never formed, for that costs as much as R and few columns of
+    Q V are wanted."""
+    packed, tau, _, _ = dgeqrf(U, 64 * U.shape[1])
+    return packed, tau, np.triu(packed[: U.shape[1]])
 
 
 def _tidy(a: Atlas, home: Ids) -> None:

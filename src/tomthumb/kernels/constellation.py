@@ -1,6 +1,7 @@
 """Where a small map fits into a large one: motions from pairs of equal distance, and the vote of all its points.
 
-A motion (x, y, theta) carries local points q to the map, p = R(theta) q + t.
+A motion (x, y, theta) carries local points q to the map, p = R(theta) q + t. Points of the map come with their grid
+(`kernels.grid`): cell, low, shape, start, index.
 """
 
 from __future__ import annotations
@@ -13,26 +14,6 @@ import numpy as np
 from tomthumb.kernels.jit import jit
 
 Array = Any
-
-
-@jit
-def sort_cells(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
-    """Points sorted into square cells: origin (2,), shape (2,), start of each cell, index. Row-major order of cells."""
-    n = points.shape[0]
-    low = np.array([points[:, 0].min(), points[:, 1].min()])
-    high = np.array([points[:, 0].max(), points[:, 1].max()])
-    shape = np.array([int((high[0] - low[0]) / cell) + 1, int((high[1] - low[1]) / cell) + 1])
-    counts = np.zeros(shape[0] * shape[1] + 1, np.int64)
-    home = np.empty(n, np.int64)
-    for j in range(n):
-        home[j] = int((points[j, 0] - low[0]) / cell) * shape[1] + int((points[j, 1] - low[1]) / cell)
-        counts[home[j] + 1] += 1
-    start = np.cumsum(counts)
-    index, fill = np.empty(n, np.int64), start[:-1].copy()
-    for j in range(n):
-        index[fill[home[j]]] = j
-        fill[home[j]] += 1
-    return low, shape, start, index
 
 
 @jit

@@ -45,6 +45,32 @@ def move_pose(P: Array, dim: int, F: Array, C: Array, Q: Array) -> None:
 
 
 @jit
+def move(
+    P: Array, x: Array, dim: int, dx: float, dy: float, turn: float, cov: Array, J: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """The pose x[:3] moved by an increment with covariance cov (3, 3) that depends on the next k states by J (3, k).
+
+    Returns F (3, 3) and C (3, k), the derivatives of the new pose by the old one and by those states.
+    """
+    c, s = math.cos(x[2]), math.sin(x[2])
+    F, G, noise, C = np.eye(3), np.eye(3), np.zeros((3, 3)), np.zeros((3, J.shape[1]))
+    F[0, 2], F[1, 2] = -s * dx - c * dy, c * dx - s * dy
+    G[0, 0], G[0, 1], G[1, 0], G[1, 1] = c, -s, s, c
+    for i in range(3):
+        for k in range(3):
+            for j in range(J.shape[1]):
+                C[i, j] += G[i, k] * J[k, j]
+            part = G[i, 0] * cov[0, k] + G[i, 1] * cov[1, k] + G[i, 2] * cov[2, k]
+            for j in range(3):
+                noise[i, j] += part * G[j, k]
+    x[0] += c * dx - s * dy
+    x[1] += s * dx + c * dy
+    x[2] = (x[2] + turn + math.pi) % (2.0 * math.pi) - math.pi
+    move_pose(P, dim, F, C, noise)
+    return F, C
+
+
+@jit
 def near(P: Array, x: Array, dim: int, hidden: int, eye: Array, reach: float) -> Array:
     """Slots of landmarks nearer to `eye` than `reach` and five standard deviations of their distance to the robot."""
     found = np.empty((dim - 3) // 2, np.int64)

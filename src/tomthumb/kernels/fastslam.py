@@ -304,19 +304,23 @@ def boxes(slots: Array, table: Array, mean: Array, has: Array, box: Array) -> No
 
 @jit
 def inherit(parents: Array, table: Array, uses: Array, free: Array) -> Array:
-    """Page tables of the children: pages gain owners, nothing else is copied; pages without an owner become free."""
-    children = table[parents]
-    for p in range(children.shape[0]):
-        for page in children[p]:
-            if page >= 0:
-                uses[page] += 1
+    """Page tables of the children; nothing else is copied. Pages without an owner become free.
+
+    A particle with one child hands its pages on as they are; so only those with none or several are gone through.
+    """
+    count = np.zeros(table.shape[0], np.int64)
+    for parent in parents:
+        count[parent] += 1
     for p in range(table.shape[0]):
+        if count[p] == 1:
+            continue
         for page in table[p]:
             if page >= 0:
-                uses[page] -= 1
+                uses[page] += count[p] - 1
                 if uses[page] == 0:
                     free[0] += 1
                     free[free[0]] = page
+    children = table[parents]
     return children
 
 

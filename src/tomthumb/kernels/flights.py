@@ -74,30 +74,6 @@ def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, A
 
 
 @jit
-def fill_grid(points: Array, cell: float) -> tuple[Array, Array, Array, Array]:
-    """Points sorted into square cells: origin (2,), shape (2,), start of each cell, index. Cells in row-major order."""
-    n = points.shape[0]
-    low, high = np.array([np.inf, np.inf]), np.array([-np.inf, -np.inf])
-    for j in range(n):
-        for u in range(2):
-            low[u], high[u] = min(low[u], points[j, u]), max(high[u], points[j, u])
-    shape = np.ones(2, np.int64)
-    for u in range(2):
-        shape[u] = int((high[u] - low[u]) / cell) + 1 if n > 0 else 1
-    counts = np.zeros(shape[0] * shape[1] + 1, np.int64)
-    home = np.empty(n, np.int64)
-    for j in range(n):
-        home[j] = int((points[j, 0] - low[0]) / cell) * shape[1] + int((points[j, 1] - low[1]) / cell)
-        counts[home[j] + 1] += 1
-    start = np.cumsum(counts)
-    index, fill = np.empty(n, np.int64), start[:-1].copy()
-    for j in range(n):
-        index[fill[home[j]]] = j
-        fill[home[j]] += 1
-    return low, shape, start, index
-
-
-@jit
 def best_near(
     x: float, y: float, W: Array, points: Array, worth: Array, cell: float, low: Array, shape: Array, start: Array,
     index: Array,
@@ -166,18 +142,10 @@ def explore(
                 if 2.0 * cost > prior_gate2:
                     continue
                 tried += 1
-                score = -cost
                 floor = max(scores[basins - 1], scores[0] - behind)
-                for i in range(m):
-                    if score + rest[i] <= floor:
-                        score = -np.inf
-                        break
-                    # the observation carried back to where the map would have it
-                    ox, oy = q[i, 0] - tx, q[i, 1] - ty
-                    x, y = c * ox + s * oy, -s * ox + c * oy
-                    vote = gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index)
-                    if vote > 0.0:
-                        score += vote
+                score = _vote(
+                    q, W, gain, rest, points, worth, tx, ty, c, s, -cost, floor, cell, low, shape, cells, index
+                )  # fmt: skip
                 if score > floor:
                     _settle(poses, scores, support, touched, tx, ty, theta, score, apart)
                 if tried >= budget:
@@ -185,6 +153,24 @@ def explore(
         for r in range(basins):
             support[r] += touched[r]
     return poses, scores, tried, anchors.shape[0]
+
+
+@jit
+def _vote(
+    q: Array, W: Array, gain: Array, rest: Array, points: Array, worth: Array, tx: float, ty: float, c: float, s: float,
+    score: float, floor: float, cell: float, low: Array, shape: Array, cells: Array, index: Array,
+) -> float:  # fmt: skip
+    """`score` of a pose with all that the observations add; -inf once what is left cannot lift it above `floor`."""
+    for i in range(q.shape[0]):
+        if score + rest[i] <= floor:
+            return -np.inf
+        # the observation carried back to where the map would have it
+        ox, oy = q[i, 0] - tx, q[i, 1] - ty
+        x, y = c * ox + s * oy, -s * ox + c * oy
+        vote = gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index)
+        if vote > 0.0:
+            score += vote
+    return score
 
 
 @jit

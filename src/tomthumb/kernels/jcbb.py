@@ -49,18 +49,9 @@ def extend(L: Array, y: Array, k: int, C: Array, R: Array, chosen: Array, nu: Ar
 
 @jit
 def search(
-    nu: Array,
-    C: Array,
-    R: Array,
-    order: Array,
-    start: Array,
-    candidates: Array,
-    gates2: Array,
-    unique: bool,
-    tie_break: bool,
-    complete: bool,
-    budget: int,
-) -> tuple[Array, float, int, bool]:
+    nu: Array, C: Array, R: Array, order: Array, start: Array, candidates: Array, gates2: Array,
+    unique: bool, tie_break: bool, complete: bool, budget: int,
+) -> tuple[Array, float, int, bool]:  # fmt: skip
     """The best match (m,), its joint d2, nodes spent, and whether the search was finished within the budget.
 
     `candidates[start[s]:start[s + 1]]` are the landmarks to try for observation `order[s]`, in that order. `gates2[k]` is
@@ -73,9 +64,7 @@ def search(
     rows, chosen, level_d2 = np.empty(m, np.int64), np.empty(m, np.int64), np.zeros(m + 1)
     used = np.zeros(C.shape[0] // 2 + 1, np.bool_)
     L, y = np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
-    useful = np.zeros(m + 1, np.int64)  # observations from level s on that have any candidate at all
-    for s in range(m - 1, -1, -1):
-        useful[s] = useful[s + 1] + (1 if start[s + 1] > start[s] else 0)
+    useful = _useful(start)
     s, k, nodes = 0, 0, 0
     if m > 0:
         pick[0] = start[0] - 1
@@ -115,6 +104,16 @@ def search(
         if s < m:
             pick[s] = start[s] - 1
     return best, best_d2, nodes, True
+
+
+@jit
+def _useful(start: Array) -> Array:
+    """How many observations from each level on have any candidate at all."""
+    m = start.shape[0] - 1
+    useful = np.zeros(m + 1, np.int64)
+    for s in range(m - 1, -1, -1):
+        useful[s] = useful[s + 1] + (1 if start[s + 1] > start[s] else 0)
+    return useful
 
 
 @jit

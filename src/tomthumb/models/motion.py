@@ -6,11 +6,11 @@ Every model gives an increment (dx m, dy m, dheading rad) in the robot's frame b
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from tomthumb.kernels.odometry import ackermann, arc, spread
 from tomthumb.types import Array, Control
 
 
@@ -27,21 +27,6 @@ class OdometryIncrement:
         return control.u, cov
 
 
-def arc(distance: float, turn: float) -> tuple[Array, Array]:
-    """The increment of a drive of `distance` m while turning by `turn` rad, with its Jacobian (3, 2) by the two.
-
-    x = d sin(w)/w, y = d (1 - cos(w))/w; series near w = 0.
-    """
-    if abs(turn) < 1e-4:
-        s, c = 1.0 - turn * turn / 6.0, turn / 2.0 - turn**3 / 24.0
-        ds, dc = -turn / 3.0, 0.5 - turn * turn / 8.0
-    else:
-        s, c = math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
-        ds, dc = (math.cos(turn) - s) / turn, (math.sin(turn) - c) / turn
-    jacobian = np.array([[s, distance * ds], [c, distance * dc], [0.0, 1.0]])
-    return np.array([distance * s, distance * c, turn]), jacobian
-
-
 @dataclass(frozen=True, slots=True)
 class Velocity:
     """u = (v m/s, omega rad/s), held for dt: an exact arc. `std` of v and omega as sampled once per control.
@@ -56,10 +41,8 @@ class Velocity:
     def increment(self, control: Control) -> tuple[Array, Array]:
         """See `protocols.Motion`."""
         dt = control.dt
-        delta, J = arc(control.u[0] * dt, control.u[1] * dt)
-        J = J * dt
-        noise = np.diag(np.square(self.std)) if control.cov is None else control.cov
-        cov = J @ noise @ J.T
+        delta, J = arc(float(control.u[0] * dt), float(control.u[1] * dt))
+        cov = spread(J * dt, _of_reading(self.std, control))
         cov[0, 0] += self.slip_std**2 * dt
         cov[1, 1] += self.slip_std**2 * dt
         return delta, cov
@@ -86,26 +69,18 @@ class Ackermann:
 
     def increment(self, control: Control) -> tuple[Array, Array]:
         """See `protocols.Motion`."""
-        speed, steering, dt = float(control.u[0]), float(control.u[1]), control.dt
-        tan = math.tan(steering)
-        k = 1.0 / (1.0 - tan * self.encoder_offset / self.wheel_base)
-        distance, turn = speed * k * dt, speed * k * tan / self.wheel_base * dt
-        delta, by_arc = arc(distance, turn)
-        dtan = 1.0 + tan * tan
-        dk = k * k * dtan * self.encoder_offset / self.wheel_base
-        by_u = (
-            np.array([[k, speed * dk], [k * tan / self.wheel_base, speed * (dk * tan + k * dtan) / self.wheel_base]])
-            * dt
-        )
-        delta, by_arc = self._at_point(delta, by_arc)
-        J = by_arc @ by_u
-        noise = np.diag(np.square(self.std)) if control.cov is None else control.cov
-        return delta, J @ noise @ J.T + np.diag(np.square(self.pose_std) * dt)
+        dt = control.dt
+        delta, cov = ackermann(
+            float(control.u[0]), float(control.u[1]), float(dt), float(self.wheel_base), float(self.encoder_offset),
+            float(self.ahead), float(self.left), _of_reading(self.std, control),
+        )  # fmt: skip
+        for i, std in enumerate(self.pose_std):
+            cov[i, i] += std * std * dt
+        return delta, cov
 
-    def _at_point(self, delta: Array, by_arc: Array) -> tuple[Array, Array]:
-        """The same motion for the point (ahead, left): p + R(turn) offset - offset."""
-        c, s = math.cos(delta[2]), math.sin(delta[2])
-        a, b = self.ahead, self.left
-        moved = np.array([delta[0] + c * a - s * b - a, delta[1] + s * a + c * b - b, delta[2]])
-        by_turn = np.array([-s * a - c * b, c * a - s * b, 0.0])
-        return moved, by_arc + np.outer(by_turn, [0.0, 1.0])
+
+def _of_reading(std: tuple[float, float], control: Control) -> Array:
+    """The covariance (2, 2) of a reading: what it brings, else that of the model."""
+    if control.cov is not None:
+        return np.array(control.cov, float, order="C")
+    return np.array([[std[0] * std[0], 0.0], [0.0, std[1] * std[1]]], float)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import importlib.util
 import inspect
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -17,6 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from tomthumb.errors import TomThumbError, UnknownName
+from tomthumb.modules import module_at
 from tomthumb.scenarios.params import accepted, convert
 from tomthumb.types import Scenario
 
@@ -287,38 +284,8 @@ def _is_code(spec: str) -> bool:
 def _function(where: str) -> Callable[..., Any]:
     """The function at ``module:name`` or ``file.py:name``. Raises TomThumbError where there is none."""
     module_name, _, name = where.rpartition(":")
-    module = _file_module(Path(module_name)) if module_name.endswith(".py") else _module(module_name, where)
+    module = module_at(module_name, where)
     function = getattr(module, name, None)
     if not callable(function):
         raise UnknownName(f"function in {module_name}", name, [k for k, v in vars(module).items() if callable(v)])
     return function  # type: ignore[no-any-return]
-
-
-def _module(name: str, where: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name is not None and not name.startswith(error.name):
-            raise  # the module is there, but something it needs is not: that is its own fault to show
-        raise TomThumbError(f"{where}: no module named {error.name}") from None
-
-
-def _file_module(file: Path) -> Any:
-    """A file as a module; the same file gives the same module, so that its classes stay themselves."""
-    full = file.expanduser().resolve()
-    if not full.is_file():
-        raise TomThumbError(f"{file}: no such file")
-    name = f"tomthumb_scenario_{full.stem}_{hashlib.sha256(str(full).encode()).hexdigest()[:8]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, full)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up while it is being executed
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -74,12 +74,10 @@ def cloister(
     streams = Streams.of(rng)
     dress = Dress(classes, confusion, diameter_std)
     dress.check("cloister")
-    noise: dict[str, Any] = {name: getattr(EYE, name) * sensor_noise for name in ("range_share", "bearing_std")}
-    eye = replace(EYE, **noise, detect=detect, clutter=clutter, occlusion=occlusion)
+    eye = replace(_noisier(sensor_noise), detect=detect, clutter=clutter, occlusion=occlusion)
     motions, stds = _motions(laps, teach, route)
     poses = path(np.zeros(3), list(motions))
-    landmarks = posts(spacing)
-    landmarks = landmarks + jitter * streams.jitter.standard_normal(landmarks.shape)
+    landmarks = _shaken(posts(spacing), jitter, streams.jitter)
     crowd = walk(people, len(poses), streams.people)
     seen = scans(eye, poses, landmarks, streams, crowd, _edges(len(poses)))
     seen = dressed(seen, len(landmarks), dress, streams.layout)
@@ -96,6 +94,16 @@ def cloister(
         teach_steps=teach * LAP,
         info={"faithful": faithful, "lap_steps": LAP, "people": people},
     )
+
+
+def _noisier(times: float) -> Eye:
+    """The reference's sensor with its standard deviations multiplied."""
+    return replace(EYE, range_share=EYE.range_share * times, bearing_std=EYE.bearing_std * times)
+
+
+def _shaken(points: Array, std: float, rng: np.random.Generator) -> Array:
+    shaken: Array = points + std * rng.standard_normal(points.shape)
+    return shaken
 
 
 def _sensor(eye: Eye) -> Cartesian:

@@ -32,7 +32,8 @@ def _gap(steps: list[Step]) -> float:
 
 def carried_away(scenario: Scenario, text: str) -> Scenario:
     """`kidnapped` by a text "AT:TO". Raises TomThumbError."""
-    at, colon, to = text.partition(":")
-    if not (colon and at.isdigit() and to.isdigit()):
-        raise TomThumbError(f"kidnap={text}: two steps are wanted, AT:TO")
-    return kidnapped(scenario, int(at), int(to))
+    try:
+        at, to = map(int, text.split(":"))
+    except ValueError:
+        raise TomThumbError(f"kidnap={text[:40]}: two steps are wanted, AT:TO") from None
+    return kidnapped(scenario, at, to)

@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tomthumb.associators.tom_thumb.scene import Rigid, Window
 from tomthumb.kernels import flights, motion
+from tomthumb.kernels.grid import fill_grid
 from tomthumb.types import Array, Ids, Mask
 
 POLISHED = 4  # basins, best first, whose assignment is made optimal
@@ -50,14 +51,14 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
     W, gain, worth, cell, apart, pairs, tolerance = flights.ready(
         s.q, s.R, s.D, s.base, s.odds, near.counts, budget.anchors
     )
-    grid = flights.fill_grid(s.p, cell)
+    grid = fill_grid(s.p, cell)
     poses, scores, tried, used = flights.explore(
-        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, cell, *grid, apart,
+        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, *grid, apart,
         budget.basins, budget.poses, 2.0 * BEHIND,
     )  # fmt: skip
     poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
     reach = 1.5 * np.sqrt(gate2 * _widest(s))
-    seen = (reach, s.p, cell, *grid, NO_LABELS if s.allowed is None else s.allowed)
+    seen = (reach, s.p, *grid, NO_LABELS if s.allowed is None else s.allowed)
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
     ends, Ms, matches, values = motion.descend(poses, *args, s.prior, reach, *seen[2:], gate2, apart, 3)
     found: list[Basin] = []
