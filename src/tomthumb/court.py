@@ -72,7 +72,7 @@ class Court:
             return {}
         slam.branches = [put_right(self.scout, slam, found)]
         self.watch = Watch(since=slam.scan)
-        return {"king": "loop", "votes": found.fit.votes, "twins": len(found.same)}
+        return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 CERTAIN = 1e-12 * np.eye(3)  # the scout's first pose is his map's own frame
 SLACK = 1.5  # how much less exact the scout's map is in itself than its sightings say
+PARTS = 3  # places at most on which parts of the scout's map lie
 STRANGERS = 0.2  # share of twins that may have been seen together, by wrong names
 
 
@@ -81,7 +82,7 @@ class Scout:
 class Found:
     """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
 
-    fit: Fit
+    votes: int
     named: dict[int, int]
     same: dict[int, int]
 
@@ -134,20 +135,48 @@ def _forget(scout: Scout) -> None:
 
 
 def look(scout: Scout, slam: Slam) -> Found | None:
-    """What the scout has to say about the family's names, if he is sure."""
+    """What the scout has to say about the family's names, if he is sure. What one place leaves may lie on another."""
     here = scout.loop.estimator.estimate(scout.branch.belief)
-    q, ids = here.landmarks[here.stone], here.ids[here.stone]
-    if len(q) < scout.rules.votes or scout.loop.scan <= scout.rules.window or not scout.noise:
-        return None
-    away = _old_map(scout, slam)
-    if len(away.old.ids) < scout.rules.votes:
+    rest, away = here.stone.copy(), _old_map(scout, slam)
+    found = Found(0, {}, {})
+    wrong = False
+    for _ in range(PARTS):
+        place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away)
+        if place is None:
+            break
+        wrong |= bool(place.same) or _agreement(scout, slam, place.named) < 0.5
+        rest &= ~np.isin(here.ids, list(place.named))
+        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
+    return found if wrong else None
+
+
+def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile) -> Found | None:
+    """The place in the old map of the scout's landmarks q (k, 2), if there is one and no rival."""
+    rules = scout.rules
+    if min(len(q), len(away.old.ids)) < rules.votes or scout.loop.scan <= rules.window or not scout.noise:
         return None
     hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
     found = fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks)
-    found = [fit for fit in found if fit.votes >= scout.rules.votes and _drifted(scout, slam, fit, away)]
-    scores = [judged(King(), fit, q, away, slam.sensor).score for fit in found]
-    return _verdict(scout, slam, [found[k] for k in np.argsort(scores)[::-1]], np.sort(scores)[::-1], ids, away.old.ids)
+    found = [fit for fit in found if fit.votes >= rules.votes and _drifted(scout, fit, away)]
+    scores = np.array([judged(King(), fit, q, away, slam.sensor).score for fit in found])
+    order = [k for k in np.argsort(-scores).tolist() if scores[k] >= rules.sure]
+    if not order:
+        return None
+    says = [dict(_pairs(found[k], ids, away.old.ids)) for k in order]
+    same: dict[int, int] = {}
+    for k, also in zip(order[1:], says[1:], strict=True):
+        twins = _twins(slam, found[order[0]], found[k], says[0], also)
+        if not twins and scores[k] > scores[order[0]] - rules.lead and _contradict(says[0], also):
+            return None
+        same |= twins
+    return Found(found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
+
+
+def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
+    """Two places for the same landmarks; places for different landmarks are parts of a map that is torn."""
+    other = sum(says[i] != also[i] for i in says.keys() & also.keys())
+    return 2 * other > min(len(says), len(also))
 
 
 def _old_map(scout: Scout, slam: Slam) -> Exile:
@@ -166,7 +195,7 @@ def _old_map(scout: Scout, slam: Slam) -> Exile:
     return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
 
 
-def _drifted(scout: Scout, slam: Slam, fit: Fit, away: Exile) -> bool:
+def _drifted(scout: Scout, fit: Fit, away: Exile) -> bool:
     """The fit moves the robot no farther than odometry may have drifted since the old landmarks were last seen."""
     matched = away.old.ids[fit.match[fit.match >= 0]]
     walked = scout.walked(int(np.median([away.home.ledger[i].seen for i in matched.tolist()])))
@@ -174,22 +203,6 @@ def _drifted(scout: Scout, slam: Slam, fit: Fit, away: Exile) -> bool:
     std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
     near = np.hypot(*gap[:2]) < max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
     return bool(near and abs(wrap_angle(gap[2])) < max(scout.rules.drift[1] * walked, std[2]))
-
-
-def _verdict(scout: Scout, slam: Slam, found: list[Fit], scores: Array, ids: Ids, old: Ids) -> Found | None:
-    """`found` and `scores`, best first: the best place, unless a rival forbids it or the family has it already."""
-    if not found or scores[0] < scout.rules.sure:
-        return None
-    says = [dict(_pairs(fit, ids, old)) for fit in found]
-    same: dict[int, int] = {}
-    for k in range(1, len(found)):
-        twins = _twins(slam, found[0], found[k], says[0], says[k]) if scores[k] >= scout.rules.sure else {}
-        if not twins and scores[k] > scores[0] - scout.rules.lead:
-            return None
-        same |= twins
-    if not same and _agreement(scout, slam, says[0]) >= 0.5:
-        return None
-    return Found(found[0], {i: same.get(j, j) for i, j in says[0].items()}, same)
 
 
 def _pairs(fit: Fit, ids: Ids, old: Ids) -> Iterator[tuple[int, int]]:
