@@ -42,8 +42,8 @@ def twice(drift: np.ndarray, seed: int = 0, alike: bool = False):
             branch.ledger[i] = Life(seen, hits=12.0, chances=12.0, static=12, born=born)
     path = np.linspace([40.0, 2.5, np.pi], compose(drift, pose), SCAN)
     path[-25:] = compose(drift, pose)
-    for step in path:
-        branch.history = (branch.history, np.empty(0, np.int64), step)
+    for scan, step in enumerate(path):
+        branch.history = (branch.history, np.empty(0, np.int64), step, scan)
     branch.belief = belief
     return ekf, branch, pose
 

@@ -9,10 +9,12 @@ import pytest
 
 import tomthumb
 from tomthumb.errors import TomThumbError
+from tomthumb.king import thinned
 from tomthumb.metrics.evaluation import evaluate
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
+from tomthumb.types import Control, Step
 from tomthumb.watch import Consistency, Watch
 
 KING = {"slam": {"king": True}}
@@ -44,6 +46,29 @@ def test_a_kidnapped_robot_comes_home_and_all_names_are_right_again(seed, at, to
     row = evaluate(trace, scenario)
     assert row["duplicates"] == 0
     assert row["match_rate"] > 0.97
+
+
+def with_rests(scenario, count: int):
+    """The same, with steps at rest, without a scan, before each of the others."""
+    rest = Control(np.zeros(3), 0.01, 1e-12 * np.eye(3))
+    steps = []
+    for step in scenario.steps:
+        steps += [Step(step.t - 0.9 + 0.1 * k, rest, None) for k in range(count if step.control is not None else 0)]
+        steps.append(step)
+    return replace(scenario, steps=steps)
+
+
+@pytest.mark.parametrize(("seed", "at", "to", "word"), [(3, 230, 300, "home"), (44, 200, 263, "loop")])
+def test_all_poses_of_the_time_away_come_home_however_many_steps_lie_between_scans(seed, at, to, word):
+    wrong = []
+    for rests in (0, 3):
+        scenario = with_rests(jittered(seed, at, to), rests)
+        trace, words, _ = told(scenario, steps=(at + 30) * (1 + rests))
+        assert words[-1][1] == word
+        truth = [step.truth.pose[:2] if step.truth else [np.nan] * 2 for step in scenario.steps[: len(trace.t)]]
+        gaps = np.hypot(*(trace.final_pose[:, :2] - truth).T)
+        wrong.append(np.count_nonzero(gaps > 1.0))
+    assert wrong[0] == wrong[1] <= 1
 
 
 @pytest.mark.parametrize("associator", ["nn", "jcbb"])
@@ -93,6 +118,16 @@ def test_a_start_anywhere_in_a_known_map(frozen):
     assert np.hypot(*(record.pose[:2] - steps[19].truth.pose[:2])) < 0.15
     if frozen:
         assert slam.estimate().stone.sum() == known.stone.sum()
+
+
+@pytest.mark.parametrize("count", [1, 39, 40, 79, 80, 1000])
+def test_a_long_trail_is_thinned_and_keeps_its_end(count):
+    poses = [np.array([k, 0.0, 0.0]) for k in range(count)]
+    some = [int(pose[0]) for pose in thinned(poses, 40)]
+    assert some[-1] == count - 1
+    assert min(count, 40) <= len(some) < 80
+    assert len(set(np.diff(some))) <= 1
+    assert count >= 80 or some == list(range(count))
 
 
 def test_to_be_lost_needs_a_map():

@@ -21,8 +21,22 @@ MAY = {
     "estimators": BASE | {"models"},  # for the sensitivity to calibration states only
     "associators": BASE | {"tale"},
     "appearance": BASE,
-    "lifecycle": BASE | {"appearance"},
-    "slam": BASE | {"appearance", "branches", "lifecycle", "checks", "sensing", "court", "king", "revision", "watch"},
+    "graves": BASE,
+    "lifecycle": BASE | {"appearance", "graves"},
+    "slam": BASE
+    | {
+        "appearance",
+        "branches",
+        "checks",
+        "court",
+        "king",
+        "lifecycle",
+        "returns",
+        "revision",
+        "sensing",
+        "twins",
+        "watch",
+    },
     "metrics": BASE,
 }
 

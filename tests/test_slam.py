@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -14,7 +16,7 @@ from tomthumb.models.motion import OdometryIncrement, Velocity
 from tomthumb.models.sensor import Cartesian, RangeBearing
 from tomthumb.runner import prepare
 from tomthumb.slam import Slam
-from tomthumb.types import Control, Observations, Prior, Truth
+from tomthumb.types import Control, Observations, Prior, Step, Truth
 
 
 def world(motion=None, sensor=None, cov=None):
@@ -150,6 +152,21 @@ def test_a_sensor_that_repeats_its_errors_adds_little_at_rest():
         return np.trace(estimate.covs[0])
 
     assert spread((3.0, 3.0)) > 1.05 * spread((0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"slam": {"width": 8}, "associator": {"brothers": 8}}, {"slam": {"revision": 20}}]
+)
+def test_steps_without_a_scan_leave_nothing_in_the_history_of_any_branch(settings):
+    """Of whichever branch or past is the best in the end: as many ids as there were observations."""
+    world = tomthumb.load("cloister", seed=2, odometry_noise=8.0)
+    rest = Control(np.zeros(3), 0.01, 1e-12 * np.eye(3))
+    steps = [s for step in world.steps for s in (Step(step.t - 0.5, rest, None), step)]
+    rested = replace(world, steps=steps[1:])
+    traces = [tomthumb.run(w, associator="stt", settings=settings) for w in (world, rested)]
+    np.testing.assert_array_equal(traces[1].final_ids, traces[0].final_ids)
+    assert len(traces[1].final_pose) == len(steps) - 1
+    assert tomthumb.evaluate(traces[1], rested)["match_rate"] == tomthumb.evaluate(traces[0], world)["match_rate"]
 
 
 def test_the_record_tells_how_sure_each_decision_was():

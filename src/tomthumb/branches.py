@@ -25,7 +25,7 @@ class Branch:
     graves: Graveyard = field(default_factory=Graveyard)
     log_weight: float = 0.0
     evidence: float = 0.0
-    history: tuple[Any, Ids, Array] | None = None  # (earlier history, ids, pose): shared between branches
+    history: tuple[Any, Ids, Array, int] | None = None  # (earlier history, ids, pose, scans before): one a step, shared
     ids: Ids = field(default_factory=lambda: np.empty(0, np.int64))
     paired: Ids = field(default_factory=lambda: np.empty(0, np.int64))
     events: tuple[Any, str, int, int, int] | None = None  # (earlier events, kind, id, other id, step)

@@ -18,7 +18,7 @@ import numpy as np
 from tomthumb.branches import Branch
 from tomthumb.constellation import Fit, fits
 from tomthumb.geometry import compose, wrap_angle
-from tomthumb.king import Exile, King, Return, clear, judged
+from tomthumb.king import Exile, King, Return, clear, judged, thinned
 from tomthumb.protocols import Estimator, Sensor
 from tomthumb.types import Array, Estimate, Mask
 
@@ -88,17 +88,18 @@ def _parted(whole: Estimate, branch: Branch, since: int, loops: Loops, doubt: bo
 def _away(branch: Branch, whole: Estimate, old: Mask, loops: Loops, scans: int) -> Exile:
     part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
     exist = np.array([branch.ledger[i].exist for i in part.ids.tolist()])
-    poses = trail(branch, scans)
-    return Exile(branch, part, exist, believed=False, trail=poses[:: -max(1, len(poses) // loops.poses)][::-1])
+    return Exile(branch, part, exist, believed=False, trail=thinned(trail(branch, scans), loops.poses))
 
 
 def trail(branch: Branch, scans: int) -> list[Array]:
-    """Poses of the last scans, the last one at the end."""
+    """Poses of the last scans, the last one at the end; of the steps before a scan only that of the scan itself."""
     poses: list[Array] = []
-    node = branch.history
+    node, last = branch.history, -1
     while node is not None and len(poses) < scans:
-        node, _, pose = node
-        poses.append(pose)
+        node, _, pose, scan = node
+        if scan != last:
+            poses.append(pose)
+        last = scan
     return poses[::-1]
 
 

@@ -163,7 +163,7 @@ def go_home(
         _inherit(home.ledger[j], here.ledger[i], scan)
         home.events = (home.events, "merged", i, j, index)
     _bring_along(estimator, home, here, way, local, named, index, wanted)
-    home.history = _moved_history(here, way.fit.motion, len(away.trail) - 1)
+    home.history = _moved_history(here, way.fit.motion, scan - len(away.trail))
     home.ids, home.paired = (_renamed(ids, named) for ids in (here.ids, here.paired))
     return home
 
@@ -190,7 +190,7 @@ def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int,
         else:
             branch.events = (branch.events, "died", i, -1, index)
     branch.crumbs.difference_update(local.ids[young].tolist())
-    branch.history = _moved_history(branch, way.fit.motion, scan - found.since)
+    branch.history = _moved_history(branch, way.fit.motion, found.since - 1)
     branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
 
 
@@ -232,15 +232,15 @@ def _placed(way: Return, point: Array, cov: Array) -> tuple[Array, Array]:
     return way.fit.motion[:2] + np.array([x, y]), R @ cov @ R.T + J @ way.fit.cov @ J.T
 
 
-def _moved_history(here: Branch, motion: Array, scans: int) -> Any:
-    """The history with the poses of the time away as the old map has them."""
+def _moved_history(here: Branch, motion: Array, since: int) -> Any:
+    """The history with the poses after scan `since` as the old map has them, those of steps without a scan too."""
     nodes: list[Any] = []
     node = here.history
-    while node is not None and len(nodes) < scans:
+    while node is not None and node[3] > since:
         nodes.append(node)
         node = node[0]
-    for _, ids, pose in reversed(nodes):
-        node = (node, ids, compose(motion, pose))
+    for _, ids, pose, scan in reversed(nodes):
+        node = (node, ids, compose(motion, pose), scan)
     return node
 
 

@@ -25,6 +25,7 @@ from tomthumb.types import Array, Estimate, Ids, Mask
 SURE = 0.5  # a landmark seen with more than this chance counts as missing where it is not
 MISSING = 2.3  # nats: log of 1 in 10, that a landmark which ought to be there is gone or hidden
 STRANGE = 1.0  # nats for a landmark that the old map does not have where it has others
+POSES = 40  # of the trail, at least where it has so many, from which a place is judged: each costs a look at the map
 NEVER = 1.0  # no hit that is one: what is known from before may stand here
 
 
@@ -118,7 +119,7 @@ def clear(king: King, verdicts: list[Verdict]) -> int | None:
 def judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdict:
     old, hit = away.old.landmarks, fit.match >= 0
     both = _covered(to_world(fit.motion, q), old) | hit
-    chance = _seen(sensor, [compose(fit.motion, pose) for pose in away.trail], old) * away.exist
+    chance = _seen(sensor, [compose(fit.motion, pose) for pose in thinned(away.trail, POSES)], old) * away.exist
     due = chance > SURE
     met = np.zeros(len(old), bool)
     met[fit.match[hit]] = True
@@ -129,6 +130,11 @@ def judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdi
     enough = fit.votes >= max(king.votes, king.share * both.sum())
     holds = bool(enough and (due & met).sum() >= king.share * due.sum())
     return Verdict(fit.gain, score + max(bonus, 0.0), holds, bonus > 0.0)
+
+
+def thinned(poses: list[Array], wanted: int) -> list[Array]:
+    """Every so many-th pose, the last one among them: `wanted` of them to twice as many, or all."""
+    return poses[:: -max(1, len(poses) // wanted)][::-1]
 
 
 def _from_home(king: King, fit: Fit, away: Exile) -> float:

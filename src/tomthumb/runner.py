@@ -212,7 +212,7 @@ def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
     poses: list[Array] = []
     node = branch.history
     while node is not None and len(poses) < steps:
-        node, step_ids, pose = node
+        node, step_ids, pose, _ = node
         ids.append(step_ids)
         poses.append(pose)
     return _joined(ids[::-1], np.int64), np.array(poses[::-1]).reshape(-1, 3)

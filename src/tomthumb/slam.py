@@ -360,14 +360,15 @@ class Slam:
 
     def _record(self, t: float, serials: Ids, clock: tuple[float, float, float], info: dict[str, Any]) -> StepRecord:
         best = self.branches[0]
-        if not len(serials):
-            best.ids = best.paired = np.empty(0, np.int64)
         estimate = self.estimator.pose(best.belief)
         for branch in self.branches:
+            if not len(serials):
+                branch.ids = branch.paired = np.empty(0, np.int64)
             branch.history = (
                 branch.history,
                 branch.ids,
                 estimate[0] if branch is best else self.estimator.pose(branch.belief)[0],
+                self.scan,
             )
         stats = self.estimator.stats(best.belief) if len(serials) else {"nis": 0.0, "dof": 0}
         begin, predicted, spent = clock
