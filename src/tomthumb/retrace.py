@@ -57,19 +57,25 @@ def retraced(slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int,
     best = slam.branches[0]
     held = set(slam.estimator.estimate(belief).ids.tolist())
     ledger = {i: life for i, life in lives.items() if i in held}
-    events, history = best.events, best.history
+    events = best.events
     for i in sorted(set(best.ledger) - set(ledger)):
         events = (events, "died", i, -1, slam.index)
-    for _ in names[:-1]:
-        assert history is not None
-        history = history[0]
-    for ids, pose in zip(names[:-1], poses[:-1], strict=True):
-        history = (history, ids, pose)
     paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
     return replace(
-        best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events, history=history,
-        ids=names[-1], paired=paired,
+        best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events,
+        history=_rewritten(best.history, names[:-1], poses[:-1]),        ids=names[-1], paired=paired,
     )  # fmt: skip
+
+
+def _rewritten(history: Any, names: Sequence[Ids], poses: Sequence[Array]) -> Any:
+    """A history whose last entries have these names and poses."""
+    scans = []
+    for _ in names:
+        history, _, _, scan = history
+        scans.append(scan)
+    for ids, pose, scan in zip(names, poses, reversed(scans), strict=True):
+        history = (history, ids, pose, scan)
+    return history
 
 
 def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int]) -> tuple[Any, list[Array]]:

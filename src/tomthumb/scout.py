@@ -269,7 +269,7 @@ def _names(branch: Branch, steps: int) -> list[Ids]:
     out: list[Ids] = []
     node = branch.history
     while node is not None and len(out) < steps:
-        node, ids, _ = node
+        node, ids, *_ = node
         out.append(ids)
     return out
 
@@ -278,7 +278,7 @@ def _poses(branch: Branch) -> Iterator[Array]:
     """Poses of a branch's history, newest first."""
     node = branch.history
     while node is not None:
-        node, _, pose = node
+        node, _, pose, _ = node
         yield pose
 
 
