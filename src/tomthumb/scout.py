@@ -45,13 +45,22 @@ class Scouting:
     trail, from which old landmarks would have been seen.
     """
 
-    window: int = 150
+    window: int = int(__import__("os").environ.get("SW","150"))
     every: int = 10
     drift: tuple[float, float] = (0.05, 0.005)
     sure: float = 20.0
     lead: float = 10.0
     votes: int = 8
     poses: int = 12
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """All that the scout remembers, and the newer part of it: a drift that has just begun shows there first."""
+        return tuple(self.window // k for k in PARTSW)
+
+
+import os
+PARTSW = eval(os.environ.get("PW", "(1,2,4)"))
 
 
 @dataclass(slots=True)
@@ -82,6 +91,7 @@ class Scout:
 class Found:
     """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
 
+    window: int
     votes: int
     named: dict[int, int]
     same: dict[int, int]
@@ -135,25 +145,35 @@ def _forget(scout: Scout) -> None:
 
 
 def look(scout: Scout, slam: Slam) -> Found | None:
-    """What the scout has to say about the family's names, if he is sure. What one place leaves may lie on another."""
+    """What the scout has to say about the family's names, if he is sure: by all that he remembers, or the newest of it."""
+    for window in scout.rules.windows:
+        if scout.loop.scan > scout.rules.window and (found := _look(scout, slam, window)) is not None:
+            return found
+    return None
+
+
+def _look(scout: Scout, slam: Slam, window: int) -> Found | None:
+    """The same by what was seen in the last `window` scans. What one place leaves may lie on another."""
     here = scout.loop.estimator.estimate(scout.branch.belief)
-    rest, away = here.stone.copy(), _old_map(scout, slam)
-    found = Found(0, {}, {})
+    since = scout.loop.scan - window
+    rest = here.stone & np.array([scout.branch.ledger[i].seen > since for i in here.ids.tolist()], bool)
+    away = _old_map(scout, slam, scout.rules.window)
+    found = Found(scout.rules.window, 0, {}, {})
     wrong = False
     for _ in range(PARTS):
-        place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away)
+        place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away, window)
         if place is None:
             break
-        wrong |= bool(place.same) or _agreement(scout, slam, place.named) < 0.5
+        wrong |= bool(place.same) or _agreement(scout, slam, place.named, scout.rules.window) < 0.5
         rest &= ~np.isin(here.ids, list(place.named))
-        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
+        found = Found(scout.rules.window, found.votes + place.votes, found.named | place.named, found.same | place.same)
     return found if wrong else None
 
 
-def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile) -> Found | None:
+def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile, window: int) -> Found | None:
     """The place in the old map of the scout's landmarks q (k, 2), if there is one and no rival."""
     rules = scout.rules
-    if min(len(q), len(away.old.ids)) < rules.votes or scout.loop.scan <= rules.window or not scout.noise:
+    if min(len(q), len(away.old.ids)) < rules.votes or not scout.noise:
         return None
     hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
@@ -170,7 +190,7 @@ def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile) -> Found |
         if not twins and scores[k] > scores[order[0]] - rules.lead and _contradict(says[0], also):
             return None
         same |= twins
-    return Found(found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
+    return Found(window, found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
 
 
 def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
@@ -179,9 +199,9 @@ def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
     return 2 * other > min(len(says), len(also))
 
 
-def _old_map(scout: Scout, slam: Slam) -> Exile:
+def _old_map(scout: Scout, slam: Slam, window: int) -> Exile:
     """The family's stones from before the scout's time, as far as drift may have brought them near."""
-    home, since = slam.branches[0], slam.scan - scout.rules.window
+    home, since = slam.branches[0], slam.scan - window
     whole = slam.estimator.estimate(home.belief)
     lives = [home.ledger[i] for i in whole.ids.tolist()]
     walked = np.array([scout.walked(life.seen) for life in lives])
@@ -190,7 +210,7 @@ def _old_map(scout: Scout, slam: Slam) -> Exile:
     old = whole.stone & (np.array([life.born for life in lives]) <= since)
     old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
     part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
-    trail = [pose for _, pose in zip(range(scout.rules.window), _poses(scout.branch), strict=False)]
+    trail = [pose for _, pose in zip(range(window), _poses(scout.branch), strict=False)]
     some = trail[:: max(1, len(trail) // scout.rules.poses)][::-1]
     return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
 
@@ -226,10 +246,10 @@ def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[i
     return {max(pair, key=lambda i: (ledger[i].born, i)): min(pair, key=lambda i: (ledger[i].born, i)) for pair in apart}
 
 
-def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
+def _agreement(scout: Scout, slam: Slam, says: dict[int, int], window: int) -> float:
     """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
     home = slam.branches[0]
-    ours, his = [home.ids, *_names(home, scout.rules.window - 1)], _names(scout.branch, scout.rules.window)
+    ours, his = [home.ids, *_names(home, window - 1)], _names(scout.branch, window)
     named = [(x, says[y]) for a, b in zip(ours, his, strict=False) for x, y in zip(a.tolist(), b.tolist(), strict=True) if y in says]
     return sum(x == y for x, y in named) / max(len(named), 1)
 
@@ -241,16 +261,21 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now."""
     home, steps = slam.branches[0], len(scout.diary.entries)
     into = _survivors(home) | found.same
-    his = _names(scout.branch, min(scout.rules.window, steps))
+    his = _names(scout.branch, min(found.window, steps))
     ours = [home.ids, *_names(home, steps - 1)]
+    lives = _lives(scout, home, found)
+    since = scout.loop.scan - found.window
+    mine = {i for i, life in scout.branch.ledger.items() if life.born > since}
     names = [_renamed(ids, into) for ids in ours]
-    names[: len(his)] = [_renamed(_renamed(ids, found.named), into) for ids in his]
-    return retraced(slam, scout.diary, names[::-1], _lives(scout, home, found))
+    for k, ids in enumerate(his):
+        said = np.isin(ids, list(found.named)) | np.isin(ids, list(mine))
+        names[k] = np.where(said, _renamed(_renamed(ids, found.named), into), names[k])
+    return retraced(slam, scout.diary, names[::-1], lives)
 
 
 def _lives(scout: Scout, home: Branch, found: Found) -> Ledger:
     """The landmarks that stay: the family's old stones, twins as one, and the scout's that are new."""
-    since = scout.loop.scan - scout.rules.window
+    since = scout.loop.scan - found.window
     lives = {i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs}
     for drop, keep in found.same.items():
         if drop in lives and keep in lives:
@@ -259,7 +284,7 @@ def _lives(scout: Scout, home: Branch, found: Found) -> Ledger:
         if i in found.named and found.named[i] in lives:
             both = {found.named[i]: lives[found.named[i]], i: life}
             inherit(both, found.named[i], i)
-        elif i not in scout.branch.crumbs and i not in lives:
+        elif i not in scout.branch.crumbs and i not in lives and life.born > since:
             lives[i] = life
     return lives
 
