@@ -12,10 +12,12 @@ import numpy as np
 
 from tomthumb.branches import Branch, Scan
 from tomthumb.closing import Closure, Loops, closure
+from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
-from tomthumb.lifecycle import Life
+from tomthumb.lifecycle import inherit
 from tomthumb.protocols import Estimator, Rng
+from tomthumb.revision import Moment
 from tomthumb.scout import Scout, Scouting, go_along, look, put_right, sent_out, take_notes
 from tomthumb.types import Array, Estimate, Ids, Mask
 from tomthumb.watch import Consistency, Watch
@@ -70,7 +72,10 @@ class Court:
         found = look(self.scout, slam)
         if found is None:
             return {}
-        slam.branches = [put_right(self.scout, slam, found)]
+        try:
+            slam.branches = [put_right(self.scout, slam, found)]
+        except Diverged:
+            return {}  # no filter survives these names: they were wrong
         self.watch = Watch(since=slam.scan)
         return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
 
@@ -128,7 +133,7 @@ class Court:
         if found is None:
             return {}
         carry(slam.estimator, best, found, slam.index, slam.scan)
-        self.scout = None
+        self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
         self.watch = Watch(since=slam.scan)
         return {"king": "loop", "votes": found.way.fit.votes}
 
@@ -160,7 +165,7 @@ def go_home(
     named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0 and j in home.ledger}
     home.events = here.events
     for i, j in named.items():
-        _inherit(home.ledger[j], here.ledger[i], scan)
+        inherit(home.ledger | {i: here.ledger[i]}, j, i)
         home.events = (home.events, "merged", i, j, index)
     _bring_along(estimator, home, here, way, local, named, index, wanted)
     home.history = _moved_history(here, way.fit.motion, scan - len(away.trail))
@@ -181,25 +186,17 @@ def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int,
         i = int(local.ids[k])
         life = branch.ledger.pop(i)
         if i in named:
-            _inherit(branch.ledger[named[i]], life, scan)
+            inherit(branch.ledger | {i: life}, named[i], i)
             branch.events = (branch.events, "merged", i, named[i], index)
         elif local.stone[k]:
             place, spread = _placed(way, local.landmarks[k], local.covs[k])
             branch.belief = estimator.place(branch.belief, np.array([i]), place[None], spread[None])
-            branch.ledger[i] = life
+            branch.ledger[i] = replace(life, place=None, apart={})
         else:
             branch.events = (branch.events, "died", i, -1, index)
     branch.crumbs.difference_update(local.ids[young].tolist())
     branch.history = _moved_history(branch, way.fit.motion, found.since - 1)
     branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
-
-
-def _inherit(life: Life, lost: Life, scan: int) -> None:
-    life.hits += lost.hits
-    life.chances += lost.hits
-    life.static += lost.static
-    life.looks = life.looks.and_also(lost.looks)
-    life.seen = scan
 
 
 def _bring_along(
@@ -221,7 +218,7 @@ def _bring_along(
             continue
         place, cov = _placed(way, local.landmarks[k], local.covs[k])
         home.belief = estimator.place(home.belief, np.array([i]), place[None], cov[None])
-        home.ledger[i] = replace(here.ledger[i], companions=set())
+        home.ledger[i] = replace(here.ledger[i], companions=set(), place=None, apart={})
 
 
 def _placed(way: Return, point: Array, cov: Array) -> tuple[Array, Array]:

@@ -23,10 +23,10 @@ from tomthumb.constellation import Fit, fits
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, wrap_angle
 from tomthumb.king import Exile, King, judged
-from tomthumb.lifecycle import Ledger, inherit
+from tomthumb.lifecycle import Ledger, copy_ledger, inherit
 from tomthumb.retrace import Diary, Entry, begun, retraced
 from tomthumb.revision import Moment, twin_of
-from tomthumb.types import Array, Estimate, Ids, Mask
+from tomthumb.types import Array, Ids
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -39,13 +39,15 @@ STRANGERS = 0.2  # share of twins that may have been seen together, by wrong nam
 
 @dataclass(frozen=True, slots=True)
 class Scouting:
-    """window: scans that the scout remembers. every: scans between two looks. drift: m per m of path, rad per m: what
+    """window: scans that the scout remembers; he looks at what he saw in them, in the newer half, quarter, ...: `sizes` in
+    all. every: scans between two looks. drift: m per m of path, rad per m: what
     odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand
     looks, a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the
     trail, from which old landmarks would have been seen.
     """
 
-    window: int = int(__import__("os").environ.get("SW","150"))
+    window: int = 200
+    sizes: int = 4
     every: int = 10
     drift: tuple[float, float] = (0.05, 0.005)
     sure: float = 20.0
@@ -56,11 +58,7 @@ class Scouting:
     @property
     def windows(self) -> tuple[int, ...]:
         """All that the scout remembers, and the newer part of it: a drift that has just begun shows there first."""
-        return tuple(self.window // k for k in PARTSW)
-
-
-import os
-PARTSW = eval(os.environ.get("PW", "(1,2,4)"))
+        return tuple(self.window // 2**k for k in range(self.sizes))
 
 
 @dataclass(slots=True)
@@ -91,7 +89,6 @@ class Scout:
 class Found:
     """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
 
-    window: int
     votes: int
     named: dict[int, int]
     same: dict[int, int]
@@ -158,7 +155,7 @@ def _look(scout: Scout, slam: Slam, window: int) -> Found | None:
     since = scout.loop.scan - window
     rest = here.stone & np.array([scout.branch.ledger[i].seen > since for i in here.ids.tolist()], bool)
     away = _old_map(scout, slam, scout.rules.window)
-    found = Found(scout.rules.window, 0, {}, {})
+    found = Found(0, {}, {})
     wrong = False
     for _ in range(PARTS):
         place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away, window)
@@ -166,7 +163,7 @@ def _look(scout: Scout, slam: Slam, window: int) -> Found | None:
             break
         wrong |= bool(place.same) or _agreement(scout, slam, place.named, scout.rules.window) < 0.5
         rest &= ~np.isin(here.ids, list(place.named))
-        found = Found(scout.rules.window, found.votes + place.votes, found.named | place.named, found.same | place.same)
+        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
     return found if wrong else None
 
 
@@ -190,7 +187,7 @@ def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile, window: in
         if not twins and scores[k] > scores[order[0]] - rules.lead and _contradict(says[0], also):
             return None
         same |= twins
-    return Found(window, found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
+    return Found(found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
 
 
 def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
@@ -209,7 +206,7 @@ def _old_map(scout: Scout, slam: Slam, window: int) -> Exile:
     reach = slam.sensor.max_range + scout.walked(since) + drift
     old = whole.stone & (np.array([life.born for life in lives]) <= since)
     old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
-    part = Estimate(whole.pose, whole.pose_cov, whole.ids[old], whole.landmarks[old], whole.covs[old], whole.stone[old])
+    part = whole.only(old)
     trail = [pose for _, pose in zip(range(window), _poses(scout.branch), strict=False)]
     some = trail[:: max(1, len(trail) // scout.rules.poses)][::-1]
     return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
@@ -243,50 +240,61 @@ def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[i
     apart = [pair for pair in pairs if pair[1] not in ledger[pair[0]].companions]
     if not apart or len(pairs) - len(apart) > STRANGERS * len(pairs):
         return {}
-    return {max(pair, key=lambda i: (ledger[i].born, i)): min(pair, key=lambda i: (ledger[i].born, i)) for pair in apart}
+    return {
+        max(pair, key=lambda i: (ledger[i].born, i)): min(pair, key=lambda i: (ledger[i].born, i)) for pair in apart
+    }
 
 
 def _agreement(scout: Scout, slam: Slam, says: dict[int, int], window: int) -> float:
     """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
     home = slam.branches[0]
     ours, his = [home.ids, *_names(home, window - 1)], _names(scout.branch, window)
-    named = [(x, says[y]) for a, b in zip(ours, his, strict=False) for x, y in zip(a.tolist(), b.tolist(), strict=True) if y in says]
-    return sum(x == y for x, y in named) / max(len(named), 1)
+    named = [
+        (x, says[y])
+        for a, b in zip(ours, his, strict=False)
+        for x, y in zip(a.tolist(), b.tolist(), strict=True)
+        if y in says
+    ]
+    return float(sum(x == y for x, y in named) / max(len(named), 1))
 
 
 # --- what was found, made true ------------------------------------------------------------------------------------------
 
 
 def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
-    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now."""
+    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now.
+
+    Raises Diverged if the filter does not survive them.
+    """
     home, steps = slam.branches[0], len(scout.diary.entries)
-    into = _survivors(home) | found.same
-    his = _names(scout.branch, min(found.window, steps))
+    since, into = scout.loop.scan - scout.rules.window, _survivors(home) | found.same
+    mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = [home.ids, *_names(home, steps - 1)]
-    lives = _lives(scout, home, found)
-    since = scout.loop.scan - found.window
-    mine = {i for i, life in scout.branch.ledger.items() if life.born > since}
     names = [_renamed(ids, into) for ids in ours]
-    for k, ids in enumerate(his):
-        said = np.isin(ids, list(found.named)) | np.isin(ids, list(mine))
-        names[k] = np.where(said, _renamed(_renamed(ids, found.named), into), names[k])
-    return retraced(slam, scout.diary, names[::-1], lives)
-
-
-def _lives(scout: Scout, home: Branch, found: Found) -> Ledger:
-    """The landmarks that stay: the family's old stones, twins as one, and the scout's that are new."""
-    since = scout.loop.scan - found.window
-    lives = {i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs}
+    for k, ids in enumerate(_names(scout.branch, min(scout.rules.window, steps))):
+        names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
+    lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop, keep in found.same.items():
         if drop in lives and keep in lives:
             inherit(lives, keep, drop)
-    for i, life in scout.branch.ledger.items():
-        if i in found.named and found.named[i] in lives:
-            both = {found.named[i]: lives[found.named[i]], i: life}
-            inherit(both, found.named[i], i)
-        elif i not in scout.branch.crumbs and i not in lives and life.born > since:
-            lives[i] = life
-    return lives
+    _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
+    fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
+    return retraced(slam, scout.diary, names[::-1], fresh | lives)
+
+
+def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
+    """Sightings that have another name now count for that one."""
+    for old, new in zip(before, after, strict=True):
+        other = old != new
+        for i in set(new[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].chances, lives[i].static = (
+                lives[i].hits + 1,
+                lives[i].chances + 1,
+                lives[i].static + 1,
+            )
+            lives[i].seen = scan
+        for i in set(old[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
 
 
 def _names(branch: Branch, steps: int) -> list[Ids]:
