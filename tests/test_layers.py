@@ -23,6 +23,9 @@ MAY = {
     "appearance": BASE,
     "graves": BASE,
     "lifecycle": BASE | {"appearance", "graves"},
+    "sensing": BASE,
+    "twins": BASE | {"lifecycle", "sensing"},
+    "returns": BASE | {"branches", "lifecycle"},
     "slam": BASE
     | {
         "appearance",

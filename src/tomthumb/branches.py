@@ -9,7 +9,10 @@ import numpy as np
 
 from tomthumb.graves import Graveyard
 from tomthumb.lifecycle import Ledger
+from tomthumb.protocols import Estimator
 from tomthumb.types import Array, Ids, Observations
+
+HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 
 
 @dataclass(slots=True)
@@ -47,3 +50,22 @@ class Scan:
 
     def __len__(self) -> int:
         return len(self.serials)
+
+
+def apart(branches: list[Branch], estimator: Estimator[Any]) -> list[Branch]:
+    """Branches, best first, without those that have come to agree with a better one, or fallen `HOPELESS` behind.
+
+    They agree when the last scan's names and the pose (within a tenth of its standard deviation) are the same.
+    """
+    kept = branches[:1]
+    for branch in branches[1:]:
+        pose, cov = estimator.pose(branch.belief)
+        close = 0.1 * np.sqrt(np.maximum(np.diag(cov), 1e-12))
+        same = [
+            np.array_equal(branch.ids, other.ids)
+            and bool((np.abs(pose - estimator.pose(other.belief)[0]) < close).all())
+            for other in kept
+        ]
+        if branch.log_weight > -HOPELESS and not any(same):
+            kept.append(branch)
+    return kept

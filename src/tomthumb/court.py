@@ -12,10 +12,13 @@ import numpy as np
 
 from tomthumb.branches import Branch, Scan
 from tomthumb.closing import Closure, Loops, closure
+from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
-from tomthumb.lifecycle import Life
+from tomthumb.lifecycle import inherit
 from tomthumb.protocols import Estimator, Rng
+from tomthumb.revision import Moment
+from tomthumb.scout import Scout, Scouting, go_along, look, put_right, sent_out, take_notes
 from tomthumb.types import Array, Estimate, Ids, Mask
 from tomthumb.watch import Consistency, Watch
 
@@ -27,9 +30,11 @@ CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own fram
 
 @dataclass(slots=True)
 class Court:
-    """The king, where there is one, the watch, and what was left behind when the family fled."""
+    """The king and the scout, where there are any, the watch, and what was left behind when the family fled."""
 
     king: King | None
+    scouting: Scouting | None = None
+    scout: Scout | None = None
     loops: Loops = field(default_factory=Loops)
     watch: Watch = field(default_factory=Watch)
     exile: Exile | None = None
@@ -40,12 +45,39 @@ class Court:
         """No doubt of the watch, and the filter's surprise is what it should be."""
         return not self.watch.doubtful and self.consistency.verdict != "surprised"
 
+    def before(self, slam: Slam, moment: Moment) -> None:
+        """Before each step: the scout goes along by himself. A robot that was carried has a new one, and a new diary."""
+        if self.scouting is None:
+            return
+        if self.exile is not None:
+            self.scout = None
+            return
+        self.scout = self.scout or sent_out(slam, self.scouting)
+        if not go_along(self.scout, moment):
+            self.scout = None
+
     def attend(self, slam: Slam, scan: Scan) -> dict[str, Any]:
-        """After each scan: is all well? Flee, seek the way home, or look for a closed loop, where there is a king."""
+        """After each scan: is all well? Flee, seek the way home, or look for a closed loop, as far as that is wanted."""
         stats = slam.estimator.stats(slam.branches[0].belief)
         self.consistency.record(float(stats.get("nis", 0.0)), int(stats.get("dof", 0)))
         told = {} if self.consistency.verdict == "fine" else {"watch": self.consistency.verdict}
-        return told | self._follow(slam, scan)
+        return told | self._ask_scout(slam, scan) | self._follow(slam, scan)
+
+    def _ask_scout(self, slam: Slam, scan: Scan) -> dict[str, Any]:
+        if self.scout is None:
+            return {}
+        take_notes(self.scout, scan)
+        if slam.scan % self.scout.rules.every or slam.index < slam.teach_steps:
+            return {}
+        found = look(self.scout, slam)
+        if found is None:
+            return {}
+        try:
+            slam.branches = [put_right(self.scout, slam, found)]
+        except Diverged:
+            return {}  # no filter survives these names: they were wrong
+        self.watch = Watch(since=slam.scan)
+        return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:
@@ -92,7 +124,7 @@ class Court:
 
     def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
         doubt = self.watch.since if self.watch.doubtful else None
-        if slam.scan % self.loops.every or not len(scan) or (doubt is None and not self.loops.drifting):
+        if slam.scan % self.loops.every or not len(scan) or doubt is None:
             return {}
         best = slam.branches[0]
         G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
@@ -101,6 +133,7 @@ class Court:
         if found is None:
             return {}
         carry(slam.estimator, best, found, slam.index, slam.scan)
+        self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
         self.watch = Watch(since=slam.scan)
         return {"king": "loop", "votes": found.way.fit.votes}
 
@@ -132,7 +165,7 @@ def go_home(
     named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0 and j in home.ledger}
     home.events = here.events
     for i, j in named.items():
-        _inherit(home.ledger[j], here.ledger[i], scan)
+        inherit(home.ledger | {i: here.ledger[i]}, j, i)
         home.events = (home.events, "merged", i, j, index)
     _bring_along(estimator, home, here, way, local, named, index, wanted)
     home.history = _moved_history(here, way.fit.motion, scan - len(away.trail))
@@ -153,25 +186,17 @@ def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int,
         i = int(local.ids[k])
         life = branch.ledger.pop(i)
         if i in named:
-            _inherit(branch.ledger[named[i]], life, scan)
+            inherit(branch.ledger | {i: life}, named[i], i)
             branch.events = (branch.events, "merged", i, named[i], index)
         elif local.stone[k]:
             place, spread = _placed(way, local.landmarks[k], local.covs[k])
             branch.belief = estimator.place(branch.belief, np.array([i]), place[None], spread[None])
-            branch.ledger[i] = life
+            branch.ledger[i] = replace(life, place=None, apart={})
         else:
             branch.events = (branch.events, "died", i, -1, index)
     branch.crumbs.difference_update(local.ids[young].tolist())
     branch.history = _moved_history(branch, way.fit.motion, found.since - 1)
     branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
-
-
-def _inherit(life: Life, lost: Life, scan: int) -> None:
-    life.hits += lost.hits
-    life.chances += lost.hits
-    life.static += lost.static
-    life.looks = life.looks.and_also(lost.looks)
-    life.seen = scan
 
 
 def _bring_along(
@@ -193,7 +218,7 @@ def _bring_along(
             continue
         place, cov = _placed(way, local.landmarks[k], local.covs[k])
         home.belief = estimator.place(home.belief, np.array([i]), place[None], cov[None])
-        home.ledger[i] = replace(here.ledger[i], companions=set())
+        home.ledger[i] = replace(here.ledger[i], companions=set(), place=None, apart={})
 
 
 def _placed(way: Return, point: Array, cov: Array) -> tuple[Array, Array]:

@@ -72,9 +72,7 @@ class Return:
 
 def left_behind(branch: Branch, old: Estimate) -> Exile:
     """What a family leaves behind when it flees."""
-    stones = Estimate(
-        old.pose, old.pose_cov, old.ids[old.stone], old.landmarks[old.stone], old.covs[old.stone], old.stone[old.stone]
-    )
+    stones = old.only(old.stone)
     exist = np.array([branch.ledger[i].exist for i in stones.ids.tolist()])
     return Exile(branch, stones, exist)
 
@@ -85,13 +83,16 @@ def way_home(king: King, away: Exile, here: Estimate, ledger: dict[int, Life], s
     q, covs, ids = here.landmarks[known], here.covs[known], here.ids[known]
     if len(q) < king.votes or len(away.old.ids) < king.votes:
         return None
-    found = fits(q, covs, away.old.landmarks, np.zeros(3))
+    return best_way(king, fits(q, covs, away.old.landmarks, np.zeros(3)), q, ids, away, sensor)
+
+
+def best_way(king: King, found: list[Fit], q: Array, ids: Ids, away: Exile, sensor: Sensor) -> Return | None:
+    """The fit of the local landmarks q (k, 2) with `ids (k,)` that is good and has no rival, if there is one."""
     chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
     if chosen is None:
         return None
     fit = found[chosen]
-    named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
-    return Return(fit, ids, named)
+    return Return(fit, ids, np.where(fit.match >= 0, away.old.ids[fit.match], -1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.closing import Loops
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
 from tomthumb.protocols import Learner
+from tomthumb.scout import Scouting
 from tomthumb.slam import Slam
 from tomthumb.types import Array, Estimate, Ids, Lessons, Scenario, StepRecord, Trace
 
@@ -41,8 +41,6 @@ class Loop:
             raise TomThumbError(
                 f"slam.width={self.width}, slam.revision={self.revision}: at least 1 branch, and a window of 0 or more"
             )
-        if self.loops and not (self.king or self.lost):
-            raise TomThumbError("slam.loops=true: loops are closed by the king, who is called with slam.king=true")
 
 
 def run(
@@ -103,7 +101,7 @@ def prepare(
         rng=(np.random.default_rng(seeds[0]), np.random.default_rng(seeds[1])),
         king=_king(loop, associator == "oracle"),
     )  # fmt: skip
-    slam.court.loops = Loops(drifting=loop.loops)
+    slam.court.scouting = Scouting() if loop.loops and associator != "oracle" else None
     slam.revision.window = loop.revision
     if start_map is not None:
         names = _start_in(slam, scenario, start_map, associator == "oracle", loop.frozen)

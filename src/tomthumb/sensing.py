@@ -17,6 +17,7 @@ from tomthumb.protocols import Sensor
 from tomthumb.types import Array, Ids, Mask, Observations
 
 EDGES = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0])  # m: rings, about a factor 1.5 each
+TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
 STILL = 1e-4  # m: a scan at rest still counts for that much
 SECTORS = 6  # of 30 deg off the axis, left and right alike
 
@@ -115,3 +116,8 @@ def news(seen: Observations, memory: tuple[float, float], moved: float) -> Obser
     share = [min(1.0, max(moved, STILL) / length) if length > 0.0 else 1.0 for length in memory]
     raised = 1.0 / np.sqrt(np.array(share))
     return replace(seen, R=seen.R * np.outer(raised, raised))
+
+
+def travelled(delta: Array) -> float:
+    """The path in m that a motion (3,) is worth, to a sensor whose errors repeat themselves."""
+    return math.hypot(delta[0], delta[1]) + abs(float(delta[2])) * TURN

@@ -16,7 +16,7 @@ import numpy as np
 
 from tomthumb import lifecycle
 from tomthumb.appearance import Crowd, Looks, weigh, with_looks
-from tomthumb.branches import Branch, Scan
+from tomthumb.branches import Branch, Scan, apart
 from tomthumb.checks import check_step
 from tomthumb.court import Court
 from tomthumb.errors import Diverged
@@ -26,7 +26,7 @@ from tomthumb.lifecycle import Ledger, Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
-from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news
+from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news, travelled
 from tomthumb.twins import record_apart
 from tomthumb.types import (
     Array,
@@ -43,8 +43,6 @@ from tomthumb.types import (
     StepRecord,
 )
 
-TURN = 0.5  # m of path that a turn of 1 rad is worth: it changes what the sensor sees, but not from where
-HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 EMPTY = Observations(np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
@@ -104,9 +102,11 @@ class Slam:
         begin = perf_counter()
         seen = observations or EMPTY
         check_step(self.index, t, self.t, control, seen)
-        self.revision.before(self, Moment(t, control, observations), self.court.well)
+        moment = Moment(t, control, observations)
+        self.revision.before(self, moment, self.court.well)
+        self.court.before(self, moment)
         for branch in self.branches:
-            self._predict(branch, t, control)
+            self.predict(branch, t, control)
         self.t = t
         predicted = perf_counter()
         serials = np.arange(self.serial, self.serial + len(seen))
@@ -124,7 +124,7 @@ class Slam:
 
     # --- prediction -------------------------------------------------------------------------------------------------
 
-    def _predict(self, branch: Branch, t: float, control: Control | None) -> None:
+    def predict(self, branch: Branch, t: float, control: Control | None) -> None:
         """Controls cover the `dt` that ends at t; what a held control has already covered is not moved twice."""
         if control is None:
             if self.last_control is None or not self.motion.rates or t <= self.t:
@@ -142,7 +142,7 @@ class Slam:
         branch.belief = self.estimator.predict(branch.belief, control, self.rng_estimator)
         if branch is self.branches[0] and any(self.sensor.memory):
             delta, _ = self.motion.increment(control)
-            self.moved += math.hypot(delta[0], delta[1]) + abs(delta[2]) * TURN
+            self.moved += travelled(delta)
 
     def _honest(self, seen: Observations) -> Observations:
         """The scan with R raised where the residuals of the last scans say that it claims too little."""
@@ -168,30 +168,12 @@ class Slam:
         self.crowd.record(seen)
         self.clutter.count += float(np.count_nonzero(best.paired < 0))
         self.clutter.scans += 1.0
-        self.branches = self._apart([c[0] for c in children])
+        self.branches = apart([c[0] for c in children], self.estimator)
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
             self.associator.learn(best.ids[~_among(best.ids, best.crumbs)], self.t)
         return spent, infos
-
-    def _apart(self, branches: list[Branch]) -> list[Branch]:
-        """Branches, best first, without those that have come to agree with a better one, or fallen `HOPELESS` behind.
-
-        They agree when the last scan's names and the pose (within a tenth of its standard deviation) are the same.
-        """
-        kept = branches[:1]
-        for branch in branches[1:]:
-            pose, cov = self.estimator.pose(branch.belief)
-            close = 0.1 * np.sqrt(np.maximum(np.diag(cov), 1e-12))
-            same = [
-                np.array_equal(branch.ids, other.ids)
-                and bool((np.abs(pose - self.estimator.pose(other.belief)[0]) < close).all())
-                for other in kept
-            ]
-            if branch.log_weight > -HOPELESS and not any(same):
-                kept.append(branch)
-        return kept
 
     def _children(self, branch: Branch, scan: Scan) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
         """The branch with each hypothesis of its associator. Many predictions (particles) take the best one each."""

@@ -7,7 +7,7 @@ frame of the sensor. A landmark's id is the serial number of the observation tha
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -245,6 +245,12 @@ class Estimate:
     landmarks: Array
     covs: Array
     stone: Mask
+
+    def only(self, rows: Mask | Ids) -> Estimate:
+        """With these landmarks only, by mask (n,) or rows (k,)."""
+        return replace(
+            self, ids=self.ids[rows], landmarks=self.landmarks[rows], covs=self.covs[rows], stone=self.stone[rows]
+        )
 
 
 @dataclass(frozen=True, slots=True)

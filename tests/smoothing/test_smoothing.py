@@ -166,6 +166,29 @@ def test_a_run_is_smoothed():
     assert smoothed.cost[1] < smoothed.cost[0]
 
 
+def test_a_landmark_of_an_old_map_that_was_never_seen_is_left_out():
+    world = cloister(np.random.default_rng(6), laps=1)
+    final = run(world, associator="oracle").final
+    old = replace(
+        final, ids=np.append(final.ids, final.ids.max() + 1), landmarks=np.vstack([final.landmarks, [[500.0, 500.0]]]),
+        stone=np.append(final.stone, True), covs=np.concatenate([final.covs, np.eye(2)[None]]),
+    )  # fmt: skip
+    graph = graph_of(run(world, associator="jcbb", start_map=old), world)
+    assert np.abs(graph.landmarks).max() < 100.0
+    assert np.isfinite(solve(graph).poses).all()
+
+
+def test_sightings_that_repeat_themselves_weigh_less():
+    world = cloister(np.random.default_rng(6), laps=1)
+    trace = run(world, associator="oracle", estimator=InvariantEKF(world.motion, world.sensor))
+    plain = graph_of(trace, world)
+    told = graph_of(trace, replace(world, sensor=replace(world.sensor, memory=(1e9, 0.0))))
+    first = plain.sightings[:, 0] == plain.sightings[:, 0].min()
+    np.testing.assert_array_equal(told.R[first], plain.R[first])
+    assert (told.R[~first, 0, 0] > 1e3 * plain.R[~first, 0, 0]).all()
+    np.testing.assert_array_equal(told.R[:, 1, 1], plain.R[:, 1, 1])
+
+
 def test_a_mounted_sensor_gives_the_robots_poses():
     from tomthumb.models.sensor import RangeBearing
     from tomthumb.types import Control, Observations, Prior, Scenario, Step

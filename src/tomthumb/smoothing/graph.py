@@ -10,8 +10,9 @@ import numpy as np
 from tomthumb import geometry
 from tomthumb.errors import TomThumbError
 from tomthumb.models.calibration import check, corrected
-from tomthumb.protocols import Motion
-from tomthumb.types import Array, Control, Ids, Scenario, Step, Trace
+from tomthumb.protocols import Motion, Sensor
+from tomthumb.sensing import news, travelled
+from tomthumb.types import Array, Control, Ids, Observations, Scenario, Step, Trace
 
 FLOOR = np.array([1e-3, 1e-3, 1e-4])  # m, m, rad: wheels slip; and every factor needs a weight
 
@@ -52,9 +53,10 @@ class Graph:
 def graph_of(trace: Trace, scenario: Scenario, *, calibration: Mapping[str, float] | None = None) -> Graph:
     """The graph of a finished run, started from its estimates; sightings as the run named them in the end.
 
-    All landmarks that ever were stones are in it, also those forgotten since. `calibration` gives systematic errors of
-    the odometry, by name, that are taken out of it (`models.calibration`). Raises TomThumbError for a run without a
-    scan or a sensor of another kind.
+    All landmarks that ever were stones and were seen are in it, also those forgotten since. A sighting has the noise
+    of what was news in it, as in the filter: raised where the sensor's errors repeat themselves (`sensor.memory`).
+    `calibration` gives systematic errors of the odometry, by name, that are taken out of it (`models.calibration`).
+    Raises TomThumbError for a run without a scan or a sensor of another kind.
     """
     steps = list(scenario.steps)[: len(trace.t)]
     scans = np.array([k for k, step in enumerate(steps) if step.observations is not None], np.int64)
@@ -71,7 +73,9 @@ def graph_of(trace: Trace, scenario: Scenario, *, calibration: Mapping[str, floa
     poses = trace.pose if trace.final_pose is None or len(trace.final_pose) != len(trace.t) else trace.final_pose
     at_sensor = np.array([geometry.compose(poses[k], mount) for k in scans])
     ids = _stones(trace)
-    pairs, z, R = _sightings(trace, steps, scans, ids)
+    path = [np.inf, *(travelled(delta) for delta, _ in between)]
+    new = [_news(steps[k], scenario.sensor, moved) for k, moved in zip(scans.tolist(), path, strict=True)]
+    pairs, z, R = _sightings(trace, new, scans, ids)
     polar = tuple(scenario.sensor.angles) == (1,)
     return Graph(
         poses=at_sensor,
@@ -155,23 +159,27 @@ def _names(trace: Trace) -> Ids:
 def _stones(trace: Trace) -> Ids:
     """Every landmark that is a stone, or was one when it was seen."""
     ever = np.concatenate([_names(trace)[trace.with_stone], trace.final.ids[trace.final.stone]])
-    stones: Ids = np.unique(ever[ever >= 0])
+    stones: Ids = np.intersect1d(ever[ever >= 0], _names(trace))  # of a map it began with, only what was seen
     return stones
 
 
-def _sightings(trace: Trace, steps: list[Step], scans: Ids, ids: Ids) -> tuple[Ids, Array, Array]:
+def _news(step: Step, sensor: Sensor, moved: float) -> Observations:
+    """The scan of a step, as the filter takes it in."""
+    assert step.observations is not None
+    return news(step.observations, sensor.memory, moved)
+
+
+def _sightings(trace: Trace, seen: list[Observations], scans: Ids, ids: Ids) -> tuple[Ids, Array, Array]:
     """(pose, landmark) (M, 2), z (M, 2), R (M, 2, 2) of the observations of the landmarks `ids`."""
     names = _names(trace)
     place = {i: n for n, i in enumerate(ids.tolist())}
     rows, z, R = [], [np.empty((0, 2))], [np.empty((0, 2, 2))]
     for pose, k in enumerate(scans.tolist()):
-        seen = steps[k].observations
-        assert seen is not None
         mine = [place.get(i, -1) for i in names[trace.offsets[k] : trace.offsets[k + 1]].tolist()]
         held = [j for j, n in enumerate(mine) if n >= 0]
         rows += [(pose, mine[j]) for j in held]
-        z.append(seen.z[held])
-        R.append(seen.R[held])
+        z.append(seen[pose].z[held])
+        R.append(seen[pose].R[held])
     return np.array(rows, np.int64).reshape(-1, 2), np.concatenate(z), np.concatenate(R)
 
 

@@ -1,0 +1,109 @@
+"""The trail gone over again: all that was given to the loop, filtered once more with names that are known better now.
+
+When a loop is closed late, what was mapped in between hangs on a wrong pose, and the filter is sure of it: to carry the
+robot over leaves a torn map behind. Gone through again with the names that the closed loop implies, no linearisation and
+no covariance of the wrong past is left.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tomthumb.branches import Branch, Scan
+from tomthumb.graves import Graveyard
+from tomthumb.lifecycle import Life
+from tomthumb.types import Array, Control, Ids
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
+
+
+@dataclass(slots=True)
+class Entry:
+    """What one step was given: time s, control, and the scan as the filter took it (None: there was none)."""
+
+    t: float
+    control: Control | None
+    scan: Scan | None = None
+
+
+@dataclass(slots=True)
+class Diary:
+    """The belief it begins with, when that was (t s, the control held), and all that was given to the loop since."""
+
+    start: Any
+    t: float = -math.inf
+    held: Control | None = None
+    entries: list[Entry] = field(default_factory=list)
+
+
+def begun(slam: Slam) -> Diary:
+    """A diary that begins here."""
+    return Diary(slam.estimator.fork(slam.branches[0].belief), slam.t, slam.last_control)
+
+
+def retraced(slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int, Life]) -> Branch:
+    """The best branch after all entries of the diary with each entry's `names`; `lives` are the landmarks it will hold.
+
+    Landmarks are founded as stones when they are first named; names without a life are passed over.
+    """
+    belief, poses = _filtered(slam, diary, names, set(lives))
+    best = slam.branches[0]
+    held = set(slam.estimator.estimate(belief).ids.tolist())
+    ledger = {i: life for i, life in lives.items() if i in held}
+    events = best.events
+    for i in sorted(set(best.ledger) - set(ledger)):
+        events = (events, "died", i, -1, slam.index)
+    paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
+    return replace(
+        best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events,
+        history=_rewritten(best.history, names[:-1], poses[:-1]),        ids=names[-1], paired=paired,
+    )  # fmt: skip
+
+
+def _rewritten(history: Any, names: Sequence[Ids], poses: Sequence[Array]) -> Any:
+    """A history whose last entries have these names and poses."""
+    scans = []
+    for _ in names:
+        history, _, _, scan = history
+        scans.append(scan)
+    for ids, pose, scan in zip(names, poses, reversed(scans), strict=True):
+        history = (history, ids, pose, scan)
+    return history
+
+
+def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int]) -> tuple[Any, list[Array]]:
+    """The belief at the end, and the pose (3,) after each entry."""
+    walker = copy.copy(slam)
+    branch = Branch(slam.estimator.fork(diary.start), {})
+    walker.branches, walker.t, walker.last_control = [branch], diary.t, diary.held
+    held = set(slam.estimator.estimate(branch.belief).ids.tolist())
+    if held - kept:
+        branch.belief = slam.estimator.forget(branch.belief, np.array(sorted(held - kept), np.int64))
+    poses = []
+    for entry, ids in zip(diary.entries, names, strict=True):
+        walker.predict(branch, entry.t, entry.control)
+        walker.t = entry.t
+        if entry.scan is not None and len(entry.scan):
+            _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(kept)), ids, -1), held)
+        poses.append(slam.estimator.pose(branch.belief)[0])
+    return branch.belief, poses
+
+
+def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int]) -> None:
+    """One scan: known landmarks move the pose, new ones are founded and believed."""
+    estimator, rng = walker.estimator, walker.rng_estimator
+    known = np.isin(ids, list(held))
+    particles = len(estimator.expect(branch.belief))
+    branch.belief = estimator.update(branch.belief, scan.news, [np.where(known, ids, -1)] * particles, rng)
+    fresh = np.where(known, -1, ids)
+    if (fresh >= 0).any():
+        branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * particles, rng)
+        branch.belief = estimator.promote(branch.belief, fresh[fresh >= 0])
+        held.update(fresh[fresh >= 0].tolist())

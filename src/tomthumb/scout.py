@@ -1,0 +1,330 @@
+"""The scout: a brother who remembers the last scans only, and so finds out where the family has been before.
+
+Scan by scan a long loop does not close: the filter is sure of a pose that is metres off, and displaced observations find
+wrong partners. The scout maps the last scans afresh, without the old map. What he has seen lately is right among itself
+and is laid on the old map as a constellation, within the drift that odometry may have gathered.
+
+    missed loop          one place explains the scout's map, and the family has named what is there otherwise
+    the same place twice two places near each other explain it, and what stands on them was never seen together
+
+Either way the trail is gone over again (`retrace`) with the scout's names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tomthumb.branches import Branch, Scan
+from tomthumb.constellation import Fit, fits
+from tomthumb.errors import Diverged
+from tomthumb.geometry import compose, wrap_angle
+from tomthumb.king import Exile, King, judged
+from tomthumb.lifecycle import Ledger, copy_ledger, inherit
+from tomthumb.retrace import Diary, Entry, begun, retraced
+from tomthumb.revision import Moment, twin_of
+from tomthumb.types import Array, Ids
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
+
+CERTAIN = 1e-12 * np.eye(3)  # the scout's first pose is his map's own frame
+SLACK = 1.5  # how much less exact the scout's map is in itself than its sightings say
+PARTS = 3  # places at most on which parts of the scout's map lie
+STRANGERS = 0.2  # share of twins that may have been seen together, by wrong names
+
+
+@dataclass(frozen=True, slots=True)
+class Scouting:
+    """window: scans that the scout remembers; he looks at what he saw in them, in the newer half, quarter, ...: `sizes` in
+    all. every: scans between two looks. drift: m per m of path, rad per m: what
+    odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand
+    looks, a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the
+    trail, from which old landmarks would have been seen.
+    """
+
+    window: int = 200
+    sizes: int = 4
+    every: int = 10
+    drift: tuple[float, float] = (0.05, 0.005)
+    sure: float = 20.0
+    lead: float = 10.0
+    votes: int = 8
+    poses: int = 12
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """All that the scout remembers, and the newer part of it: a drift that has just begun shows there first."""
+        return tuple(self.window // 2**k for k in range(self.sizes))
+
+
+@dataclass(slots=True)
+class Scout:
+    """The scout's own loop, the diary of the run, and by scans: the path (m) and the noise (m) of a sighting.
+
+    since_scan: m of path since the last scan.
+    """
+
+    rules: Scouting
+    loop: Slam
+    diary: Diary
+    path: list[float] = field(default_factory=list)
+    noise: list[float] = field(default_factory=list)
+    since_scan: float = 0.0
+
+    @property
+    def branch(self) -> Branch:
+        """The scout's map and what he calls its landmarks."""
+        return self.loop.branches[0]
+
+    def walked(self, scan: int) -> float:
+        """m of path since that scan."""
+        return self.path[-1] - self.path[max(0, min(scan - self.loop.scan + len(self.path), len(self.path) - 1))]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
+
+    votes: int
+    named: dict[int, int]
+    same: dict[int, int]
+
+
+def sent_out(slam: Slam, rules: Scouting) -> Scout:
+    """A scout without a map who begins where the family believes to be; the diary begins here too."""
+    loop = twin_of(slam)
+    pose, _ = slam.estimator.pose(slam.branches[0].belief)
+    loop.branches = [Branch(slam.estimator.init(pose, CERTAIN, loop.rng_estimator), {})]
+    loop.teacher, loop.teach_steps, loop.width = None, 0, 1
+    return Scout(rules, loop, begun(slam))
+
+
+def go_along(scout: Scout, moment: Moment) -> bool:
+    """The scout's own step; False when his filter is lost."""
+    before = scout.loop.estimator.pose(scout.branch.belief)[0]
+    scout.diary.entries.append(Entry(moment.t, moment.control))
+    try:
+        record = scout.loop.step(moment.t, moment.control, moment.observations)
+    except Diverged:
+        return False
+    scout.since_scan += float(np.hypot(*(record.pose - before)[:2]))
+    return True
+
+
+def take_notes(scout: Scout, scan: Scan) -> None:
+    """After a scan: how the filter took it, how far the way was, and what is too long ago to be remembered."""
+    scout.diary.entries[-1].scan = scan
+    scout.path.append((scout.path[-1] if scout.path else 0.0) + scout.since_scan)
+    scout.since_scan = 0.0
+    if len(scan):
+        G = scout.loop.sensor.locate(scout.loop.estimator.pose(scout.branch.belief)[0], scan.honest.z)[2]
+        var = 0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2)
+        scout.noise.append(float(np.sqrt(var.mean())))
+        del scout.noise[: -scout.rules.window]
+    _forget(scout)
+
+
+def _forget(scout: Scout) -> None:
+    branch = scout.branch
+    gone = [i for i, life in branch.ledger.items() if scout.loop.scan - life.seen > scout.rules.window]
+    if gone:
+        branch.belief = scout.loop.estimator.forget(branch.belief, np.array(gone, np.int64))
+        branch.crumbs.difference_update(gone)
+        for i in gone:
+            del branch.ledger[i]
+
+
+# --- looking ------------------------------------------------------------------------------------------------------------
+
+
+def look(scout: Scout, slam: Slam) -> Found | None:
+    """What the scout has to say about the family's names, if he is sure: by all that he remembers, or the newest of it."""
+    for window in scout.rules.windows:
+        if scout.loop.scan > scout.rules.window and (found := _look(scout, slam, window)) is not None:
+            return found
+    return None
+
+
+def _look(scout: Scout, slam: Slam, window: int) -> Found | None:
+    """The same by what was seen in the last `window` scans. What one place leaves may lie on another."""
+    here = scout.loop.estimator.estimate(scout.branch.belief)
+    since = scout.loop.scan - window
+    rest = here.stone & np.array([scout.branch.ledger[i].seen > since for i in here.ids.tolist()], bool)
+    away = _old_map(scout, slam, scout.rules.window)
+    found = Found(0, {}, {})
+    wrong = False
+    for _ in range(PARTS):
+        place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away, window)
+        if place is None:
+            break
+        wrong |= bool(place.same) or _agreement(scout, slam, place.named, scout.rules.window) < 0.5
+        rest &= ~np.isin(here.ids, list(place.named))
+        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
+    return found if wrong else None
+
+
+def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile, window: int) -> Found | None:
+    """The place in the old map of the scout's landmarks q (k, 2), if there is one and no rival."""
+    rules = scout.rules
+    if min(len(q), len(away.old.ids)) < rules.votes or not scout.noise:
+        return None
+    hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
+    spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
+    found = fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks)
+    found = [fit for fit in found if fit.votes >= rules.votes and _drifted(scout, fit, away)]
+    scores = np.array([judged(King(), fit, q, away, slam.sensor).score for fit in found])
+    order = [k for k in np.argsort(-scores).tolist() if scores[k] >= rules.sure]
+    if not order:
+        return None
+    says = [dict(_pairs(found[k], ids, away.old.ids)) for k in order]
+    same: dict[int, int] = {}
+    for k, also in zip(order[1:], says[1:], strict=True):
+        twins = _twins(slam, found[order[0]], found[k], says[0], also)
+        if not twins and scores[k] > scores[order[0]] - rules.lead and _contradict(says[0], also):
+            return None
+        same |= twins
+    return Found(found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
+
+
+def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
+    """Two places for the same landmarks; places for different landmarks are parts of a map that is torn."""
+    other = sum(says[i] != also[i] for i in says.keys() & also.keys())
+    return 2 * other > min(len(says), len(also))
+
+
+def _old_map(scout: Scout, slam: Slam, window: int) -> Exile:
+    """The family's stones from before the scout's time, as far as drift may have brought them near."""
+    home, since = slam.branches[0], slam.scan - window
+    whole = slam.estimator.estimate(home.belief)
+    lives = [home.ledger[i] for i in whole.ids.tolist()]
+    walked = np.array([scout.walked(life.seen) for life in lives])
+    drift = np.maximum(scout.rules.drift[0] * walked, 5.0 * np.sqrt(np.trace(whole.pose_cov[:2, :2])))
+    reach = slam.sensor.max_range + scout.walked(since) + drift
+    old = whole.stone & (np.array([life.born for life in lives]) <= since)
+    old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
+    part = whole.only(old)
+    trail = [pose for _, pose in zip(range(window), _poses(scout.branch), strict=False)]
+    some = trail[:: max(1, len(trail) // scout.rules.poses)][::-1]
+    return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
+
+
+def _drifted(scout: Scout, fit: Fit, away: Exile) -> bool:
+    """The fit moves the robot no farther than odometry may have drifted since the old landmarks were last seen."""
+    matched = away.old.ids[fit.match[fit.match >= 0]]
+    walked = scout.walked(int(np.median([away.home.ledger[i].seen for i in matched.tolist()])))
+    gap = compose(fit.motion, away.trail[-1]) - away.old.pose
+    std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
+    near = np.hypot(*gap[:2]) < max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
+    return bool(near and abs(wrap_angle(gap[2])) < max(scout.rules.drift[1] * walked, std[2]))
+
+
+def _pairs(fit: Fit, ids: Ids, old: Ids) -> Iterator[tuple[int, int]]:
+    for i, m in zip(ids.tolist(), fit.match.tolist(), strict=True):
+        if m >= 0:
+            yield i, int(old[m])
+
+
+def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[int, int]) -> dict[int, int]:
+    """Old landmarks that are one, younger to older, if two fits are one place mapped twice; none if they are rivals.
+
+    Nearer to each other than the sensor sees, both would have been in view at once: a periodic world shows them together.
+    """
+    ledger = slam.branches[0].ledger
+    if np.hypot(*(compose(best.motion, np.zeros(3)) - compose(other.motion, np.zeros(3)))[:2]) > slam.sensor.max_range:
+        return {}
+    pairs = [(says[i], also[i]) for i in says.keys() & also.keys() if says[i] != also[i]]
+    apart = [pair for pair in pairs if pair[1] not in ledger[pair[0]].companions]
+    if not apart or len(pairs) - len(apart) > STRANGERS * len(pairs):
+        return {}
+    return {
+        max(pair, key=lambda i: (ledger[i].born, i)): min(pair, key=lambda i: (ledger[i].born, i)) for pair in apart
+    }
+
+
+def _agreement(scout: Scout, slam: Slam, says: dict[int, int], window: int) -> float:
+    """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
+    home = slam.branches[0]
+    ours, his = [home.ids, *_names(home, window - 1)], _names(scout.branch, window)
+    named = [
+        (x, says[y])
+        for a, b in zip(ours, his, strict=False)
+        for x, y in zip(a.tolist(), b.tolist(), strict=True)
+        if y in says
+    ]
+    return float(sum(x == y for x, y in named) / max(len(named), 1))
+
+
+# --- what was found, made true ------------------------------------------------------------------------------------------
+
+
+def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
+    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now.
+
+    Raises Diverged if the filter does not survive them.
+    """
+    home, steps = slam.branches[0], len(scout.diary.entries)
+    since, into = scout.loop.scan - scout.rules.window, _survivors(home) | found.same
+    mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
+    ours = [home.ids, *_names(home, steps - 1)]
+    names = [_renamed(ids, into) for ids in ours]
+    for k, ids in enumerate(_names(scout.branch, min(scout.rules.window, steps))):
+        names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
+    lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
+    for drop, keep in found.same.items():
+        if drop in lives and keep in lives:
+            inherit(lives, keep, drop)
+    _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
+    fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
+    return retraced(slam, scout.diary, names[::-1], fresh | lives)
+
+
+def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
+    """Sightings that have another name now count for that one."""
+    for old, new in zip(before, after, strict=True):
+        other = old != new
+        for i in set(new[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].chances, lives[i].static = (
+                lives[i].hits + 1,
+                lives[i].chances + 1,
+                lives[i].static + 1,
+            )
+            lives[i].seen = scan
+        for i in set(old[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
+
+
+def _names(branch: Branch, steps: int) -> list[Ids]:
+    """Names of the last steps of a branch's history, newest first."""
+    out: list[Ids] = []
+    node = branch.history
+    while node is not None and len(out) < steps:
+        node, ids, *_ = node
+        out.append(ids)
+    return out
+
+
+def _poses(branch: Branch) -> Iterator[Array]:
+    """Poses of a branch's history, newest first."""
+    node = branch.history
+    while node is not None:
+        node, _, pose, _ = node
+        yield pose
+
+
+def _survivors(branch: Branch) -> dict[int, int]:
+    """What every merged landmark has become."""
+    into: dict[int, int] = {}
+    node = branch.events
+    while node is not None:  # newest first, so that the survivor's own fate is known already
+        node, kind, one, other, _ = node
+        if kind == "merged":
+            into[one] = into.get(other, other)
+    return into
+
+
+def _renamed(ids: Ids, into: dict[int, int]) -> Any:
+    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)

@@ -1,0 +1,167 @@
+"""The scout: loops that scan by scan are missed are found, the trail is gone over again, and nothing is found elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tomthumb.branches import Branch
+from tomthumb.constellation import Fit
+from tomthumb.errors import Diverged
+from tomthumb.geometry import compose
+from tomthumb.lifecycle import Life
+from tomthumb.metrics.evaluation import evaluate
+from tomthumb.models.motion import OdometryIncrement
+from tomthumb.models.sensor import RangeBearing
+from tomthumb.retrace import retraced
+from tomthumb.runner import collect, prepare
+from tomthumb.scenarios.cloister import cloister
+from tomthumb.scenarios.kidnap import kidnapped
+from tomthumb.scout import Scouting, _twins, sent_out
+from tomthumb.types import Control, Observations, Prior, Scenario, Step, Truth
+
+LOOPS = {"slam": {"loops": True}}
+RADIUS, STRIDE = 15.0, 0.4
+SENSOR = RangeBearing(max_range=6.0, fov=2.0 * np.pi, std=(0.05, 0.01), detect=0.9, clutter=0.0)
+
+
+def ring(seed: int, scale: float = 1.03, turn: float = 0.0008, laps: float = 1.4) -> Scenario:
+    """A ring of posts walked round with an odometer that is wrong by `scale` and `turn` (rad a step), and sure of itself."""
+    rng = np.random.default_rng(seed)
+    angle, radius = 2.0 * np.pi * rng.random(110), RADIUS + rng.uniform(-4.0, 4.0, 110)
+    posts = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    pose, steps = (
+        np.array([RADIUS, 0.0, np.pi / 2]),
+        [Step(0.0, None, None, Truth(np.array([RADIUS, 0.0, np.pi / 2]), None))],
+    )
+    noise = np.array([0.01, 0.01, 0.001])
+    for k in range(1, int(laps * 2.0 * np.pi * RADIUS / STRIDE)):
+        move = np.array([STRIDE, 0.0, STRIDE / RADIUS])
+        pose = compose(pose, move)
+        told = move * [scale, 1.0, 1.0] + [0.0, 0.0, turn] + noise * rng.standard_normal(3)
+        seen = np.flatnonzero((np.hypot(*(posts - pose[:2]).T) < SENSOR.max_range) & (rng.random(len(posts)) < 0.9))
+        z = SENSOR.expect(pose, posts[seen])[0] + SENSOR.std * rng.standard_normal((len(seen), 2))
+        scan = Observations(z, np.tile(np.diag(np.square(SENSOR.std)), (len(seen), 1, 1)))
+        steps.append(Step(float(k), Control(told, 1.0, np.diag(noise**2)), scan, Truth(pose, seen)))
+    prior = Prior(np.array([RADIUS, 0.0, np.pi / 2]), 1e-8 * np.eye(3))
+    return Scenario("ring", OdometryIncrement(), SENSOR, prior, steps, posts)
+
+
+def told(scenario: Scenario, settings=None, **more):
+    """The trace, its metrics, and the steps in which a loop was closed."""
+    slam = prepare(scenario, settings=settings, **more)
+    records = list(slam.stream(scenario.steps))
+    trace = collect(scenario.name, slam, records)
+    return trace, evaluate(trace, scenario), [r.index for r in records if r.info.get("king") == "loop"], slam
+
+
+@pytest.mark.parametrize(("associator", "seed"), [("nn", 0), ("jcbb", 1), ("stt", 0)])
+def test_a_missed_loop_is_found_and_its_names_are_put_right(associator, seed):
+    _, without, _, _ = told(ring(seed), associator=associator)
+    trace, row, found, slam = told(ring(seed), LOOPS, associator=associator)
+    assert without["duplicates"] >= 10
+    assert without["idf1"] < 0.92
+    assert found
+    assert row["duplicates"] <= 2
+    assert row["idf1"] > 0.95
+    assert row["match_rate_final"] > 0.98
+    best = slam.branches[0]
+    assert set(slam.estimate().ids.tolist()) == set(best.ledger)
+    assert np.linalg.eigvalsh(trace.pose_cov[-1]).min() > 0.0
+
+
+@pytest.mark.parametrize("world", [{"laps": 2}, {"laps": 2, "odometry_noise": 4.0}, {"people": 30}])
+def test_where_no_loop_is_missed_nothing_is_found(world):
+    scenario = cloister(np.random.default_rng(3), **world)
+    _, without, _, _ = told(scenario)
+    _, row, found, _ = told(scenario, LOOPS)
+    assert found == []
+    assert {k: row[k] for k in ("match_rate", "idf1", "ate_m")} == {
+        k: without[k] for k in ("match_rate", "idf1", "ate_m")
+    }
+
+
+def test_what_stands_beside_is_a_rival_and_what_was_never_seen_beside_is_the_same_twice():
+    _, _, _, slam = told(ring(0), associator="nn")
+    here, beside, far = (Fit(np.array([x, 0.0, 0.0]), np.eye(3), np.arange(3), 3, 50.0) for x in (0.0, 1.0, 50.0))
+    ledger = slam.branches[0].ledger = {i: Life(9, born=i) for i in range(6)}
+    says, also = {70: 0, 71: 1, 72: 5}, {70: 3, 71: 4, 72: 5}
+    assert _twins(slam, here, beside, says, also) == {3: 0, 4: 1}
+    assert _twins(slam, here, far, says, also) == {}
+    ledger[0].companions, ledger[1].companions = {3}, {4}
+    assert _twins(slam, here, beside, says, also) == {}
+
+
+def test_the_trail_gone_over_with_the_same_names_leads_to_the_same_place():
+    scenario = ring(1, scale=1.0, turn=0.0)
+    slam = prepare(scenario, associator="nn", settings=LOOPS)
+    records = list(slam.stream(scenario.steps))
+    best = slam.branches[0]
+    names = [r.ids for r in records]
+    assert slam.court.scout is not None
+    again = retraced(slam, slam.court.scout.diary, names, best.ledger)
+    pose, cov = slam.estimator.pose(best.belief)
+    other, _ = slam.estimator.pose(again.belief)
+    gap = other - pose
+    assert gap @ np.linalg.solve(cov, gap) < 9.0  # not equal: a stone counts from its first sighting now
+    assert set(again.ledger) == set(best.ledger)
+    assert len(_walk(again)) == len(_walk(best))
+
+
+def _walk(branch: Branch) -> list[int]:
+    scans, node = [], branch.history
+    while node is not None:
+        node, _, _, scan = node
+        scans.append(scan)
+    return scans
+
+
+def test_the_scout_forgets_what_he_has_not_seen_for_long():
+    scenario = ring(0, laps=0.9)
+    slam = prepare(scenario, associator="nn", settings=LOOPS)
+    slam.court.scouting = Scouting(window=40)
+    for _ in slam.stream(scenario.steps):
+        scout = slam.court.scout
+        assert scout is not None
+        assert all(scout.loop.scan - life.seen <= 40 for life in scout.branch.ledger.values())
+    assert 5 < len(scout.branch.ledger) < len(slam.branches[0].ledger)
+    assert set(slam.estimator.estimate(scout.branch.belief).ids.tolist()) == set(scout.branch.ledger)
+
+
+def test_names_that_no_filter_survives_are_not_taken(monkeypatch):
+    def lost(*_):
+        raise Diverged("the covariance is not finite")
+
+    monkeypatch.setattr("tomthumb.court.put_right", lost)
+    _, without, _, _ = told(ring(0), associator="nn")
+    _, row, found, _ = told(ring(0), LOOPS, associator="nn")
+    assert found == []
+    assert row["idf1"] == without["idf1"]
+
+
+def test_a_robot_that_was_carried_has_a_new_scout_and_a_new_diary():
+    scenario = kidnapped(cloister(np.random.default_rng(3), jitter=0.2, laps=3), 230, 300)
+    slam = prepare(scenario, settings={"slam": {"king": True, "loops": True}})
+    lengths, words = [], []
+    for record in slam.stream(list(scenario.steps)[:300]):
+        lengths.append(len(slam.court.scout.diary.entries) if slam.court.scout else 0)
+        words.append(record.info.get("king"))
+    home = words.index("home")
+    assert lengths[home - 1] == 0
+    assert lengths[home + 2] == 2
+
+
+def test_scans_that_are_empty_and_other_filters_are_taken_as_they_come():
+    scenario = ring(0, laps=1.2)
+    steps = [
+        Step(s.t, s.control, Observations(np.empty((0, 2)), np.empty((0, 2, 2))), None) if k % 7 == 3 else s
+        for k, s in enumerate(scenario.steps)
+    ]
+    for estimator, settings in (("ekf", {}), ("fastslam", {"particles": 5})):
+        slam = prepare(scenario, associator="nn", estimator=estimator, settings=LOOPS | {"estimator": settings})
+        assert len(list(slam.stream(steps))) == len(steps)
+
+
+def test_nobody_goes_along_with_the_oracle():
+    assert prepare(ring(0), associator="oracle", settings=LOOPS).court.scouting is None
+    assert sent_out(prepare(ring(0)), Scouting()).loop.court.king is None
