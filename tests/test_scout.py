@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tomthumb.branches import Branch
 from tomthumb.constellation import Fit
 from tomthumb.errors import Diverged
-from tomthumb.geometry import compose
 from tomthumb.lifecycle import Life
 from tomthumb.metrics.evaluation import evaluate
-from tomthumb.models.motion import OdometryIncrement
-from tomthumb.models.sensor import RangeBearing
 from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
 from tomthumb.scout import Scouting, _twins, sent_out
-from tomthumb.types import Control, Observations, Prior, Scenario, Step, Truth
+from tomthumb.types import Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
-RADIUS, STRIDE = 15.0, 0.4
-SENSOR = RangeBearing(max_range=6.0, fov=2.0 * np.pi, std=(0.05, 0.01), detect=0.9, clutter=0.0)
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
-def ring(seed: int, scale: float = 1.03, turn: float = 0.0008, laps: float = 1.4) -> Scenario:
-    """A ring of posts walked round with an odometer that is wrong by `scale` and `turn` (rad a step), and sure of itself."""
-    rng = np.random.default_rng(seed)
-    angle, radius = 2.0 * np.pi * rng.random(110), RADIUS + rng.uniform(-4.0, 4.0, 110)
-    posts = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    pose, steps = (
-        np.array([RADIUS, 0.0, np.pi / 2]),
-        [Step(0.0, None, None, Truth(np.array([RADIUS, 0.0, np.pi / 2]), None))],
-    )
-    noise = np.array([0.01, 0.01, 0.001])
-    for k in range(1, int(laps * 2.0 * np.pi * RADIUS / STRIDE)):
-        move = np.array([STRIDE, 0.0, STRIDE / RADIUS])
-        pose = compose(pose, move)
-        told = move * [scale, 1.0, 1.0] + [0.0, 0.0, turn] + noise * rng.standard_normal(3)
-        seen = np.flatnonzero((np.hypot(*(posts - pose[:2]).T) < SENSOR.max_range) & (rng.random(len(posts)) < 0.9))
-        z = SENSOR.expect(pose, posts[seen])[0] + SENSOR.std * rng.standard_normal((len(seen), 2))
-        scan = Observations(z, np.tile(np.diag(np.square(SENSOR.std)), (len(seen), 1, 1)))
-        steps.append(Step(float(k), Control(told, 1.0, np.diag(noise**2)), scan, Truth(pose, seen)))
-    prior = Prior(np.array([RADIUS, 0.0, np.pi / 2]), 1e-8 * np.eye(3))
-    return Scenario("ring", OdometryIncrement(), SENSOR, prior, steps, posts)
+def ring(seed: int, **odometer: float) -> Scenario:
+    """A ring of posts walked round with an odometer that is wrong, and sure of itself (benchmarks/worlds.py)."""
+    spec = importlib.util.spec_from_file_location("worlds", BENCHMARKS / "worlds.py")
+    worlds = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(worlds)
+    return worlds.ring(np.random.default_rng(seed), **odometer)
 
 
 def told(scenario: Scenario, settings=None, **more):
