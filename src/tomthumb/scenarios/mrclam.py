@@ -20,7 +20,7 @@ ROBOTS = 5
 # percent of the sightings are off by 0.5 m and more. The stds cover the worst robot.
 STD = (0.15, math.radians(1.2))
 # The controls are commands, not measurements. What is left of their error with DELAY, TURN and SPEED, as noise of each
-# command, is that of the worst robot over the longest span measured (60 s, about as long as a tube is out of sight).
+# command, is that of the worst robot over the longest span measured, 60 s (docs/logs.md has the figures for others).
 CONTROL_STD = (0.14, 0.27)
 DELAY = 0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
 TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
