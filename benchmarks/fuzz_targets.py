@@ -16,9 +16,12 @@ from typing import Any
 import numpy as np
 
 from tomthumb.errors import TomThumbError
+from tomthumb.metrics.truth import collect
+from tomthumb.runner import run
 from tomthumb.scenarios import load
 from tomthumb.scenarios.csv_save import save_csv
 from tomthumb.scenarios.jsonl import save_jsonl
+from tomthumb.storage import SavedRun, load_lessons, load_map, load_run, save_run
 
 HOSTILE = (
     b"nan", b"inf", b"-inf",
@@ -29,12 +32,36 @@ HOSTILE = (
 Files = dict[str, bytes]
 
 
+def read_log(spec: str) -> int:
+    """A scenario, steps and all; how many of them."""
+    steps = list(load(spec).steps)
+    for step in steps:
+        assert np.isfinite(step.t)
+        if step.observations is not None:
+            assert np.isfinite(step.observations.z).all()
+    return len(steps)
+
+
+def read_map(path: str) -> int:
+    """A saved map and what was learned about it; how many landmarks."""
+    found = load_map(Path(path))
+    load_lessons(Path(path))
+    assert np.isfinite(found.landmarks).all()
+    return len(found.ids)
+
+
+def read_run(path: str) -> int:
+    """A saved run; how many steps."""
+    return len(load_run(Path(path)).trace.t)
+
+
 @dataclass(frozen=True)
 class Target:
-    """A loader: how it is asked for (`{}` is the folder), its valid files, and which of them are damaged."""
+    """A loader: how it is asked for (`{}` is the folder), its valid files, and what reads them and counts what it read."""
 
     spec: str
     files: Files
+    read: Callable[[str], int] = read_log
 
 
 def damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -117,7 +144,7 @@ def targets(data: Path | None) -> dict[str, Target]:
     """Small valid files for every loader; those of I-SLSJF are the log's own, where `data` has it. Bags need the
     extra ros.
     """
-    found = {**_own(), **_text(), **_binary()}
+    found = {**_own(), **_saved(), **_text(), **_binary()}
     if importlib.util.find_spec("rosbags") is not None:
         found |= _bags()
     if data is not None:
@@ -136,6 +163,20 @@ def _own() -> dict[str, Target]:
             "jsonl": Target("jsonl:{}/a.jsonl", {"a.jsonl": (folder / "a.jsonl").read_bytes()}),
             "csv": Target("csv:{}", csv),
         }
+
+
+def _saved() -> dict[str, Target]:
+    """What a run leaves: its trace, and its map with a memory beside it."""
+    world = load("random", steps=12, landmarks=30, size=20.0)
+    trace = run(world, associator="stt", settings={"associator": {"memory": True}, "slam": {"hits": 2}})
+    with tempfile.TemporaryDirectory() as name:
+        save_run(Path(name), SavedRun(trace, collect(world, trace)))
+        files = _below(Path(name))
+    kept = files.pop("trace.npz")
+    return {
+        "saved_map": Target("{}/map.csv", files, read_map),
+        "saved_run": Target("{}", {"trace.npz": kept}, read_run),
+    }
 
 
 def _text() -> dict[str, Target]:
@@ -331,14 +372,10 @@ def attempt(target: Target, folder: Path, rng: np.random.Generator) -> bool:
 
 
 def survives(target: Target, folder: Path, files: Files) -> bool:
-    """Load a log of such files, steps and all; True where it was read, False where a TomThumbError came instead."""
+    """Load such files, steps and all; True where it was read, False where a TomThumbError came instead."""
     write(folder, files)
     try:
-        scenario = load(target.spec.format(folder))
-        for step in scenario.steps:
-            assert np.isfinite(step.t)
-            if step.observations is not None:
-                assert np.isfinite(step.observations.z).all()
+        target.read(target.spec.format(folder))
     except TomThumbError as error:
         text = str(error)
         assert "\n" not in text, f"more than one line: {text!r}"
