@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
 from tomthumb.scout import Scouting, _twins, sent_out
-from tomthumb.types import Observations, Scenario, Step
+from tomthumb.types import Control, Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -53,6 +54,17 @@ def test_a_missed_loop_is_found_and_its_names_are_put_right(associator, seed):
     best = slam.branches[0]
     assert set(slam.estimate().ids.tolist()) == set(best.ledger)
     assert np.linalg.eigvalsh(trace.pose_cov[-1]).min() > 0.0
+
+
+def test_steps_without_a_scan_change_nothing():
+    scenario, rest = ring(0), Control(np.zeros(3), 0.01, 1e-12 * np.eye(3))
+    steps = [
+        s for step in scenario.steps for s in (Step(step.t - 0.5, rest, None), Step(step.t - 0.3, rest, None), step)
+    ]
+    _, row, found, _ = told(replace(scenario, steps=steps[2:]), LOOPS, associator="nn")
+    assert found
+    assert row["duplicates"] <= 2
+    assert row["idf1"] > 0.95
 
 
 @pytest.mark.parametrize("world", [{"laps": 2}, {"laps": 2, "odometry_noise": 4.0}, {"people": 30}])

@@ -22,11 +22,11 @@ from tomthumb.branches import Branch, Scan
 from tomthumb.constellation import Fit, fits
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, wrap_angle
-from tomthumb.king import Exile, King, judged
+from tomthumb.king import Exile, King, judged, thinned
 from tomthumb.lifecycle import Ledger, copy_ledger, inherit
 from tomthumb.retrace import Diary, Entry, begun, retraced
 from tomthumb.revision import Moment, twin_of
-from tomthumb.types import Array, Ids
+from tomthumb.types import Array, Estimate, Ids
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -40,10 +40,10 @@ STRANGERS = 0.2  # share of twins that may have been seen together, by wrong nam
 @dataclass(frozen=True, slots=True)
 class Scouting:
     """window: scans that the scout remembers; he looks at what he saw in them, in the newer half, quarter, ...: `sizes` in
-    all. every: scans between two looks. drift: m per m of path, rad per m: what
-    odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand
-    looks, a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the
-    trail, from which old landmarks would have been seen.
+    all. every: scans between two looks. drift: m per m of path, rad per m: what odometry may have gathered. sure: nats
+    that a place must explain: a thousand places within the drift, a thousand looks, a risk of one in a hundred. lead:
+    nats before any other place. votes: landmarks at least. poses: of the trail, from which old landmarks would have
+    been seen.
     """
 
     window: int = 200
@@ -63,22 +63,27 @@ class Scouting:
 
 @dataclass(slots=True)
 class Scout:
-    """The scout's own loop, the diary of the run, and by scans: the path (m) and the noise (m) of a sighting.
-
-    since_scan: m of path since the last scan.
+    """The scout's own loop, the diary since he was sent out at scan `sent`, and by scans: the path (m) and the noise (m) of
+    a sighting. step: m of path since the last scan.
     """
 
     rules: Scouting
     loop: Slam
     diary: Diary
+    sent: int
     path: list[float] = field(default_factory=list)
     noise: list[float] = field(default_factory=list)
-    since_scan: float = 0.0
+    step: float = 0.0
 
     @property
     def branch(self) -> Branch:
         """The scout's map and what he calls its landmarks."""
         return self.loop.branches[0]
+
+    @property
+    def since(self) -> int:
+        """The scan after which all that he remembers was seen, and founded if the family knows it from then only."""
+        return max(self.loop.scan - 1 - self.rules.window, self.sent - 1)
 
     def walked(self, scan: int) -> float:
         """m of path since that scan."""
@@ -100,7 +105,7 @@ def sent_out(slam: Slam, rules: Scouting) -> Scout:
     pose, _ = slam.estimator.pose(slam.branches[0].belief)
     loop.branches = [Branch(slam.estimator.init(pose, CERTAIN, loop.rng_estimator), {})]
     loop.teacher, loop.teach_steps, loop.width = None, 0, 1
-    return Scout(rules, loop, begun(slam))
+    return Scout(rules, loop, begun(slam), slam.scan)
 
 
 def go_along(scout: Scout, moment: Moment) -> bool:
@@ -111,15 +116,15 @@ def go_along(scout: Scout, moment: Moment) -> bool:
         record = scout.loop.step(moment.t, moment.control, moment.observations)
     except Diverged:
         return False
-    scout.since_scan += float(np.hypot(*(record.pose - before)[:2]))
+    scout.step += float(np.hypot(*(record.pose - before)[:2]))
     return True
 
 
 def take_notes(scout: Scout, scan: Scan) -> None:
     """After a scan: how the filter took it, how far the way was, and what is too long ago to be remembered."""
     scout.diary.entries[-1].scan = scan
-    scout.path.append((scout.path[-1] if scout.path else 0.0) + scout.since_scan)
-    scout.since_scan = 0.0
+    scout.path.append((scout.path[-1] if scout.path else 0.0) + scout.step)
+    scout.step = 0.0
     if len(scan):
         G = scout.loop.sensor.locate(scout.loop.estimator.pose(scout.branch.belief)[0], scan.honest.z)[2]
         var = 0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2)
@@ -143,33 +148,31 @@ def _forget(scout: Scout) -> None:
 
 def look(scout: Scout, slam: Slam) -> Found | None:
     """What the scout has to say about the family's names, if he is sure: by all that he remembers, or the newest of it."""
+    here, away = scout.loop.estimator.estimate(scout.branch.belief), _old_map(scout, slam)
+    seen = np.array([scout.branch.ledger[i].seen for i in here.ids.tolist()], np.int64)
     for window in scout.rules.windows:
-        if scout.loop.scan > scout.rules.window and (found := _look(scout, slam, window)) is not None:
+        found = _wrong(scout, slam, here.only(here.stone & (seen >= scout.loop.scan - window)), away)
+        if found is not None:
             return found
     return None
 
 
-def _look(scout: Scout, slam: Slam, window: int) -> Found | None:
-    """The same by what was seen in the last `window` scans. What one place leaves may lie on another."""
-    here = scout.loop.estimator.estimate(scout.branch.belief)
-    since = scout.loop.scan - window
-    rest = here.stone & np.array([scout.branch.ledger[i].seen > since for i in here.ids.tolist()], bool)
-    away = _old_map(scout, slam, scout.rules.window)
-    found = Found(0, {}, {})
-    wrong = False
+def _wrong(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | None:
+    """The places of what the scout has mapped, if the family is wrong about one of them."""
+    found, wrong = Found(0, {}, {}), False
     for _ in range(PARTS):
-        place = _place(scout, slam, here.landmarks[rest], here.ids[rest], away, window)
+        place = _place(scout, slam, mine, away)
         if place is None:
             break
-        wrong |= bool(place.same) or _agreement(scout, slam, place.named, scout.rules.window) < 0.5
-        rest &= ~np.isin(here.ids, list(place.named))
+        wrong |= bool(place.same) or _agreement(scout, slam, place.named) < 0.5
+        mine = mine.only(~np.isin(mine.ids, list(place.named)))
         found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
     return found if wrong else None
 
 
-def _place(scout: Scout, slam: Slam, q: Array, ids: Ids, away: Exile, window: int) -> Found | None:
-    """The place in the old map of the scout's landmarks q (k, 2), if there is one and no rival."""
-    rules = scout.rules
+def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | None:
+    """The place in the old map of what the scout has mapped, if there is one and no rival."""
+    rules, q, ids = scout.rules, mine.landmarks, mine.ids
     if min(len(q), len(away.old.ids)) < rules.votes or not scout.noise:
         return None
     hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
@@ -196,9 +199,9 @@ def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
     return 2 * other > min(len(says), len(also))
 
 
-def _old_map(scout: Scout, slam: Slam, window: int) -> Exile:
+def _old_map(scout: Scout, slam: Slam) -> Exile:
     """The family's stones from before the scout's time, as far as drift may have brought them near."""
-    home, since = slam.branches[0], slam.scan - window
+    home, since = slam.branches[0], scout.since
     whole = slam.estimator.estimate(home.belief)
     lives = [home.ledger[i] for i in whole.ids.tolist()]
     walked = np.array([scout.walked(life.seen) for life in lives])
@@ -207,9 +210,9 @@ def _old_map(scout: Scout, slam: Slam, window: int) -> Exile:
     old = whole.stone & (np.array([life.born for life in lives]) <= since)
     old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
     part = whole.only(old)
-    trail = [pose for _, pose in zip(range(window), _poses(scout.branch), strict=False)]
-    some = trail[:: max(1, len(trail) // scout.rules.poses)][::-1]
-    return Exile(home, part, np.array([home.ledger[i].exist for i in part.ids.tolist()]), believed=False, trail=some)
+    exist = np.array([home.ledger[i].exist for i in part.ids.tolist()])
+    poses = [pose for _, pose in _lately(scout)][::-1]
+    return Exile(home, part, exist, believed=False, trail=thinned(poses, scout.rules.poses))
 
 
 def _drifted(scout: Scout, fit: Fit, away: Exile) -> bool:
@@ -245,17 +248,35 @@ def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[i
     }
 
 
-def _agreement(scout: Scout, slam: Slam, says: dict[int, int], window: int) -> float:
+def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
     """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
-    home = slam.branches[0]
-    ours, his = [home.ids, *_names(home, window - 1)], _names(scout.branch, window)
+    his = [ids for ids, _ in _lately(scout)]
     named = [
         (x, says[y])
-        for a, b in zip(ours, his, strict=False)
-        for x, y in zip(a.tolist(), b.tolist(), strict=True)
+        for ours, ids in zip(_names(slam.branches[0], len(his)), his, strict=True)
+        for x, y in zip(ours.tolist(), ids.tolist(), strict=True)
         if y in says
     ]
     return float(sum(x == y for x, y in named) / max(len(named), 1))
+
+
+def _lately(scout: Scout) -> list[tuple[Ids, Array]]:
+    """The scout's names and poses in the steps that he remembers, newest first."""
+    out: list[tuple[Ids, Array]] = []
+    node = scout.branch.history
+    while node is not None and node[3] > scout.since:
+        node, ids, pose, _ = node
+        out.append((ids, pose))
+    return out
+
+
+def _names(branch: Branch, steps: int) -> list[Ids]:
+    """The family's names in this step and in those before it, newest first."""
+    out, node = [branch.ids], branch.history
+    while node is not None and len(out) < steps:
+        node, ids, *_ = node
+        out.append(ids)
+    return out
 
 
 # --- what was found, made true ------------------------------------------------------------------------------------------
@@ -266,12 +287,12 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
 
     Raises Diverged if the filter does not survive them.
     """
-    home, steps = slam.branches[0], len(scout.diary.entries)
-    since, into = scout.loop.scan - scout.rules.window, _survivors(home) | found.same
+    home, since = slam.branches[0], scout.since
+    into = _survivors(home) | found.same
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
-    ours = [home.ids, *_names(home, steps - 1)]
+    ours = _names(home, len(scout.diary.entries))
     names = [_renamed(ids, into) for ids in ours]
-    for k, ids in enumerate(_names(scout.branch, min(scout.rules.window, steps))):
+    for k, (ids, _) in enumerate(_lately(scout)):
         names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop, keep in found.same.items():
@@ -295,24 +316,6 @@ def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> Non
             lives[i].seen = scan
         for i in set(old[other].tolist()) & lives.keys():
             lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
-
-
-def _names(branch: Branch, steps: int) -> list[Ids]:
-    """Names of the last steps of a branch's history, newest first."""
-    out: list[Ids] = []
-    node = branch.history
-    while node is not None and len(out) < steps:
-        node, ids, *_ = node
-        out.append(ids)
-    return out
-
-
-def _poses(branch: Branch) -> Iterator[Array]:
-    """Poses of a branch's history, newest first."""
-    node = branch.history
-    while node is not None:
-        node, _, pose, _ = node
-        yield pose
 
 
 def _survivors(branch: Branch) -> dict[int, int]:
