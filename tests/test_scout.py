@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit
 from tomthumb.errors import Diverged
 from tomthumb.lifecycle import Life
 from tomthumb.metrics.evaluation import evaluate
@@ -18,7 +17,7 @@ from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
-from tomthumb.scout import Scouting, _twins, sent_out
+from tomthumb.scout import Place, Scouting, _twins, sent_out
 from tomthumb.types import Control, Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
@@ -80,13 +79,13 @@ def test_where_no_loop_is_missed_nothing_is_found(world):
 
 def test_what_stands_beside_is_a_rival_and_what_was_never_seen_beside_is_the_same_twice():
     _, _, _, slam = told(ring(0), associator="nn")
-    here, beside, far = (Fit(np.array([x, 0.0, 0.0]), np.eye(3), np.arange(3), 3, 50.0) for x in (0.0, 1.0, 50.0))
     ledger = slam.branches[0].ledger = {i: Life(9, born=i) for i in range(6)}
-    says, also = {70: 0, 71: 1, 72: 5}, {70: 3, 71: 4, 72: 5}
-    assert _twins(slam, here, beside, says, also) == {3: 0, 4: 1}
-    assert _twins(slam, here, far, says, also) == {}
+    here = Place(np.zeros(3), {70: 0, 71: 1, 72: 5}, 50.0, 0.1)
+    beside = Place(np.array([1.0, 0.0, 0.0]), {70: 3, 71: 4, 72: 5}, 50.0, 0.2)
+    assert _twins(slam, here, beside) == {3: 0, 4: 1}
+    assert _twins(slam, here, replace(beside, pose=np.array([50.0, 0.0, 0.0]))) == {}
     ledger[0].companions, ledger[1].companions = {3}, {4}
-    assert _twins(slam, here, beside, says, also) == {}
+    assert _twins(slam, here, beside) == {}
 
 
 def test_the_trail_gone_over_with_the_same_names_leads_to_the_same_place():

@@ -17,7 +17,8 @@ from tomthumb.kernels import constellation as kernel
 from tomthumb.kernels.grid import fill_grid
 from tomthumb.types import Array, Ids
 
-ANCHORS = 20  # pairs of local points that give motions
+ANCHORS = 12  # pairs of local points that give motions, for each of
+BASELINES = (1.0, 0.5, 0.25)  # of the longest distance
 BASINS = 16  # motions refined
 BUDGET = 2_000_000  # motions tried at most
 GATE = 3.5  # standard deviations of a vote
@@ -38,10 +39,13 @@ class Fit:
     gain: float
 
 
-def fits(q: Array, covs: Array, points: Array, also: Array | None = None) -> list[Fit]:
+def fits(
+    q: Array, covs: Array, points: Array, also: Array | None = None, within: tuple[float, float] | None = None
+) -> list[Fit]:
     """All good ways to lay local points q (k, 2) m, covariances (k, 2, 2) m2, on map points (n, 2) m, best first.
 
-    `also` (3,) is a motion that is refined in any case (where the robot believes it is).
+    `also` (3,) is a motion that is refined in any case (where the robot believes it is); `within` (m, rad) of it lie all
+    others, by the middle of the points.
     """
     if len(q) < 3 or len(points) < 3:
         return []
@@ -53,12 +57,25 @@ def fits(q: Array, covs: Array, points: Array, also: Array | None = None) -> lis
     anchors, tolerance = _anchors(at, spread)
     size = max(float(np.abs(at).max()), 1e-9)
     apart = np.array([2.0 * spread.mean(), 2.0 * spread.mean() / size])
-    motions, votes, _ = kernel.search(at, spread, gain, anchors, tolerance, points, *grid, apart, BASINS, BUDGET)
+    motions, votes, _ = kernel.search(
+        at, spread, gain, anchors, tolerance, points, *grid, apart, _near(also, centre, within), BASINS, BUDGET
+    )
     starts = [m for m, v in zip(motions, votes, strict=True) if np.isfinite(v)]
     if also is not None:
-        starts.append(np.append(rotation(also[2]) @ centre + also[:2], also[2]))
+        starts.append(_about_centre(also, centre))
     found = [_refined(m, at, spread, gain, points, grid) for m in starts]
     return [_about(fit, centre) for fit in _distinct(found, apart)]
+
+
+def _about_centre(motion: Array, centre: Array) -> Array:
+    return np.append(rotation(motion[2]) @ centre + motion[:2], motion[2])
+
+
+def _near(also: Array | None, centre: Array, within: tuple[float, float] | None) -> Array:
+    """(x, y, theta, m, rad): the motions that are looked at, of points about their centre."""
+    if also is None or within is None:
+        return np.array([0.0, 0.0, 0.0, np.inf, np.inf])
+    return np.append(_about_centre(also, centre), within)
 
 
 def _spread(covs: Array) -> Array:
@@ -84,21 +101,25 @@ def spacing(points: Array) -> Array:
 
 
 def _anchors(q: Array, spread: Array) -> tuple[Ids, Array]:
-    """Pairs of local points, long baseline first, each used at most three times; tolerance m on their distance."""
+    """Pairs of local points, long baseline first, each used at most three times; tolerance m on their distance.
+
+    Then the same among pairs of half that length at most, and of a quarter: where a part of the points only is on the
+    map, the longest pairs all lead out of it.
+    """
     a, b = np.triu_indices(len(q), 1)
     length = np.hypot(*(q[a] - q[b]).T)
-    times = np.zeros(len(q), np.int64)
+    order = np.argsort(-length, kind="stable")
     chosen: list[int] = []
-    for k in np.argsort(-length, kind="stable").tolist():
-        if times[a[k]] < 3 and times[b[k]] < 3 and len(chosen) < ANCHORS:
-            times[[a[k], b[k]]] += 1
-            chosen.append(k)
+    for longest in length.max() * np.array(BASELINES):
+        times = np.zeros(len(q), np.int64)
+        wanted = len(chosen) + ANCHORS
+        for k in order[length[order] <= longest].tolist():
+            if times[a[k]] < 3 and times[b[k]] < 3 and k not in chosen and len(chosen) < wanted:
+                times[[a[k], b[k]]] += 1
+                chosen.append(k)
     picked = np.array(chosen, np.int64)
     tolerance: Array = 2.5 * np.hypot(spread[a[picked]], spread[b[picked]]) + BEND * length[picked]
     return np.column_stack([a[picked], b[picked]]), tolerance
-
-
-Grid = tuple[float, Array, Array, Array, Array]
 
 
 def _refined(motion: Array, q: Array, spread: Array, gain: Array, points: Array, grid: Grid) -> Fit:

@@ -12,7 +12,6 @@ Either way the trail is gone over again (`retrace`) with the scout's names.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ import numpy as np
 from tomthumb.branches import Branch, Scan
 from tomthumb.constellation import Fit, fits
 from tomthumb.errors import Diverged
-from tomthumb.geometry import compose, wrap_angle
+from tomthumb.geometry import compose, inverse, wrap_angle
 from tomthumb.king import Exile, King, judged, thinned
 from tomthumb.lifecycle import Ledger, copy_ledger, inherit
 from tomthumb.retrace import Diary, Entry, begun, retraced
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
 CERTAIN = 1e-12 * np.eye(3)  # the scout's first pose is his map's own frame
 SLACK = 1.5  # how much less exact the scout's map is in itself than its sightings say
 PARTS = 3  # places at most on which parts of the scout's map lie
+RIVAL = 2.0  # as far beyond the allowed drift a place is a rival still, though none to go to
 STRANGERS = 0.2  # share of twins that may have been seen together, by wrong names
 
 
@@ -99,6 +99,18 @@ class Found:
     same: dict[int, int]
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the scout's map may lie in the old one: `pose` is the robot's there, `says` which of his landmarks is which old
+    one, with how many nats, and at what share of the drift that odometry may have gathered.
+    """
+
+    pose: Array
+    says: dict[int, int]
+    score: float
+    drift: float
+
+
 def sent_out(slam: Slam, rules: Scouting) -> Scout:
     """A scout without a map who begins where the family believes to be; the diary begins here too."""
     loop = twin_of(slam)
@@ -151,7 +163,9 @@ def look(scout: Scout, slam: Slam) -> Found | None:
     here, away = scout.loop.estimator.estimate(scout.branch.belief), _old_map(scout, slam)
     seen = np.array([scout.branch.ledger[i].seen for i in here.ids.tolist()], np.int64)
     for window in scout.rules.windows:
-        found = _wrong(scout, slam, here.only(here.stone & (seen >= scout.loop.scan - window)), away)
+        since = scout.loop.scan - 1 - window
+        away.trail = thinned([pose for _, pose in _lately(scout, since)][::-1], scout.rules.poses)
+        found = _wrong(scout, slam, here.only(here.stone & (seen > since)), away)
         if found is not None:
             return found
     return None
@@ -172,25 +186,39 @@ def _wrong(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | Non
 
 def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | None:
     """The place in the old map of what the scout has mapped, if there is one and no rival."""
-    rules, q, ids = scout.rules, mine.landmarks, mine.ids
-    if min(len(q), len(away.old.ids)) < rules.votes or not scout.noise:
+    places = _places(scout, slam, mine, away)
+
+    def rivalled(place: Place) -> bool:
+        near = [p for p in places if p is not place and p.score > place.score - scout.rules.lead]
+        return any(_contradict(place.says, p.says) and not _twins(slam, place, p) for p in near)
+
+    good = [p for p in places if p.score >= scout.rules.sure and p.drift < 1.0 and len(p.says) >= scout.rules.votes]
+    if not good or rivalled(good[0]):
         return None
+    same: dict[int, int] = {}
+    for place in good[1:]:
+        same |= {} if rivalled(place) else _twins(slam, good[0], place)
+    return Found(len(good[0].says), {i: same.get(j, j) for i, j in good[0].says.items()}, same)
+
+
+def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place]:
+    """All places where what the scout has mapped may lie in the old map, best first."""
+    q, ids, votes = mine.landmarks, mine.ids, scout.rules.votes
+    if min(len(q), len(away.old.ids)) < votes or not scout.noise:
+        return []
     hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
-    found = fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks)
-    found = [fit for fit in found if fit.votes >= rules.votes and _drifted(scout, fit, away)]
-    scores = np.array([judged(King(), fit, q, away, slam.sensor).score for fit in found])
-    order = [k for k in np.argsort(-scores).tolist() if scores[k] >= rules.sure]
-    if not order:
-        return None
-    says = [dict(_pairs(found[k], ids, away.old.ids)) for k in order]
-    same: dict[int, int] = {}
-    for k, also in zip(order[1:], says[1:], strict=True):
-        twins = _twins(slam, found[order[0]], found[k], says[0], also)
-        if not twins and scores[k] > scores[order[0]] - rules.lead and _contradict(says[0], also):
-            return None
-        same |= twins
-    return Found(found[order[0]].votes, {i: same.get(j, j) for i, j in says[0].items()}, same)
+    found = []
+    here, within = _believed(scout, q, away)
+    for fit in fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks, here, within):
+        drift = _drift(scout, fit, away) if fit.votes >= votes else np.inf
+        if drift < RIVAL:
+            named = away.old.ids[fit.match]
+            says = {i: j for i, j, m in zip(ids.tolist(), named.tolist(), fit.match.tolist(), strict=True) if m >= 0}
+            found.append(
+                Place(compose(fit.motion, away.trail[-1]), says, judged(King(), fit, q, away, slam.sensor).score, drift)
+            )
+    return sorted(found, key=lambda place: -place.score)
 
 
 def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
@@ -206,40 +234,45 @@ def _old_map(scout: Scout, slam: Slam) -> Exile:
     lives = [home.ledger[i] for i in whole.ids.tolist()]
     walked = np.array([scout.walked(life.seen) for life in lives])
     drift = np.maximum(scout.rules.drift[0] * walked, 5.0 * np.sqrt(np.trace(whole.pose_cov[:2, :2])))
-    reach = slam.sensor.max_range + scout.walked(since) + drift
+    reach = slam.sensor.max_range + scout.walked(since) + RIVAL * drift
     old = whole.stone & (np.array([life.born for life in lives]) <= since)
     old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
     part = whole.only(old)
     exist = np.array([home.ledger[i].exist for i in part.ids.tolist()])
-    poses = [pose for _, pose in _lately(scout)][::-1]
-    return Exile(home, part, exist, believed=False, trail=thinned(poses, scout.rules.poses))
+    return Exile(home, part, exist, believed=False)
 
 
-def _drifted(scout: Scout, fit: Fit, away: Exile) -> bool:
-    """The fit moves the robot no farther than odometry may have drifted since the old landmarks were last seen."""
+def _believed(scout: Scout, q: Array, away: Exile) -> tuple[Array, tuple[float, float]]:
+    """The motion (3,) that lays the scout's pose on the family's, and how far (m, rad) about it rivals are looked for."""
+    here = compose(away.old.pose, inverse(away.trail[-1]))
+    walked = max(scout.walked(away.home.ledger[i].seen) for i in away.old.ids.tolist())
+    std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
+    turn = RIVAL * max(scout.rules.drift[1] * walked, float(std[2]))
+    lever = float(np.hypot(*(q.mean(0) - away.trail[-1][:2])))
+    metres = RIVAL * max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
+    return here, (metres + turn * lever, turn)
+
+
+def _drift(scout: Scout, fit: Fit, away: Exile) -> float:
+    """How far the fit moves the robot, as a share of what odometry may have drifted since the old landmarks were seen."""
     matched = away.old.ids[fit.match[fit.match >= 0]]
     walked = scout.walked(int(np.median([away.home.ledger[i].seen for i in matched.tolist()])))
     gap = compose(fit.motion, away.trail[-1]) - away.old.pose
     std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
-    near = np.hypot(*gap[:2]) < max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
-    return bool(near and abs(wrap_angle(gap[2])) < max(scout.rules.drift[1] * walked, std[2]))
+    metres = max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
+    return float(max(np.hypot(*gap[:2]) / metres, abs(wrap_angle(gap[2])) / max(scout.rules.drift[1] * walked, std[2])))
 
 
-def _pairs(fit: Fit, ids: Ids, old: Ids) -> Iterator[tuple[int, int]]:
-    for i, m in zip(ids.tolist(), fit.match.tolist(), strict=True):
-        if m >= 0:
-            yield i, int(old[m])
-
-
-def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[int, int]) -> dict[int, int]:
-    """Old landmarks that are one, younger to older, if two fits are one place mapped twice; none if they are rivals.
+def _twins(slam: Slam, best: Place, other: Place) -> dict[int, int]:
+    """Old landmarks that are one, younger to older, if two places are one that was mapped twice; none if they are rivals.
 
     Nearer to each other than the sensor sees, both would have been in view at once: a periodic world shows them together.
     """
     ledger = slam.branches[0].ledger
-    if np.hypot(*(compose(best.motion, np.zeros(3)) - compose(other.motion, np.zeros(3)))[:2]) > slam.sensor.max_range:
+    if np.hypot(*(best.pose - other.pose)[:2]) > slam.sensor.max_range:
         return {}
-    pairs = [(says[i], also[i]) for i in says.keys() & also.keys() if says[i] != also[i]]
+    shared = best.says.keys() & other.says.keys()
+    pairs = [(best.says[i], other.says[i]) for i in shared if best.says[i] != other.says[i]]
     apart = [pair for pair in pairs if pair[1] not in ledger[pair[0]].companions]
     if not apart or len(pairs) - len(apart) > STRANGERS * len(pairs):
         return {}
@@ -250,7 +283,7 @@ def _twins(slam: Slam, best: Fit, other: Fit, says: dict[int, int], also: dict[i
 
 def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
     """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
-    his = [ids for ids, _ in _lately(scout)]
+    his = [ids for ids, _ in _lately(scout, scout.since)]
     named = [
         (x, says[y])
         for ours, ids in zip(_names(slam.branches[0], len(his)), his, strict=True)
@@ -260,11 +293,11 @@ def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
     return float(sum(x == y for x, y in named) / max(len(named), 1))
 
 
-def _lately(scout: Scout) -> list[tuple[Ids, Array]]:
-    """The scout's names and poses in the steps that he remembers, newest first."""
+def _lately(scout: Scout, since: int) -> list[tuple[Ids, Array]]:
+    """The scout's names and poses in the steps after scan `since`, newest first."""
     out: list[tuple[Ids, Array]] = []
     node = scout.branch.history
-    while node is not None and node[3] > scout.since:
+    while node is not None and node[3] > since:
         node, ids, pose, _ = node
         out.append((ids, pose))
     return out
@@ -292,7 +325,7 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = _names(home, len(scout.diary.entries))
     names = [_renamed(ids, into) for ids in ours]
-    for k, (ids, _) in enumerate(_lately(scout)):
+    for k, (ids, _) in enumerate(_lately(scout, since)):
         names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop, keep in found.same.items():

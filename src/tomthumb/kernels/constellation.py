@@ -38,13 +38,13 @@ def nearest(
 @jit
 def search(
     q: Array, spread: Array, gain: Array, anchors: Array, tolerance: Array, points: Array, cell: float, low: Array,
-    shape: Array, start: Array, index: Array, apart: Array, basins: int, budget: int,
+    shape: Array, start: Array, index: Array, apart: Array, within: Array, basins: int, budget: int,
 ) -> tuple[Array, Array, int]:  # fmt: skip
     """The best distinct motions, best first: (basins, 3), their votes (basins,) in nats (-inf: none), motions tried.
 
     q (k, 2) local points about their centre; spread (k,) m, standard deviation of a vote; gain (k,) what a perfect one
     adds; anchors (a, 2) pairs of local points with tolerance (a,) m on their distance; apart (2,) m, rad: basins nearer
-    than this are one.
+    than this are one; within (5,): only motions as near to (x, y, theta) as m, rad.
     """
     k, n = q.shape[0], points.shape[0]
     motions, votes = np.zeros((basins, 3)), np.full(basins, -np.inf)
@@ -71,10 +71,14 @@ def search(
                         continue
                     tried += 1
                     theta = math.atan2(qx * vy - qy * vx, qx * vx + qy * vy)
+                    if abs((theta - within[2] + math.pi) % (2.0 * math.pi) - math.pi) > within[4]:
+                        continue
                     co, si = math.cos(theta), math.sin(theta)
                     mx, my = 0.5 * (q[a, 0] + q[b, 0]), 0.5 * (q[a, 1] + q[b, 1])
                     tx = px + 0.5 * vx - co * mx + si * my
                     ty = py + 0.5 * vy - si * mx - co * my
+                    if math.hypot(tx - within[0], ty - within[1]) > within[3]:
+                        continue
                     vote, floor = 0.0, votes[basins - 1]
                     for i in range(k):
                         if vote + rest[i] <= floor:
