@@ -39,13 +39,20 @@ class Fit:
     gain: float
 
 
-def fits(
-    q: Array, covs: Array, points: Array, also: Array | None = None, within: tuple[float, float] | None = None
-) -> list[Fit]:
+@dataclass(frozen=True, slots=True)
+class Within:
+    """Motions that carry the local `point` (2,) m at most `metres` away, and turn by `radians` more or less at most."""
+
+    point: Array
+    metres: float
+    radians: float
+
+
+def fits(q: Array, covs: Array, points: Array, also: Array | None = None, within: Within | None = None) -> list[Fit]:
     """All good ways to lay local points q (k, 2) m, covariances (k, 2, 2) m2, on map points (n, 2) m, best first.
 
-    `also` (3,) is a motion that is refined in any case (where the robot believes it is); `within` (m, rad) of it lie all
-    others, by the middle of the points.
+    `also` (3,) is a motion that is refined in any case (where the robot believes it is); `within` bounds how far from it
+    the others may lie.
     """
     if len(q) < 3 or len(points) < 3:
         return []
@@ -71,11 +78,12 @@ def _about_centre(motion: Array, centre: Array) -> Array:
     return np.append(rotation(motion[2]) @ centre + motion[:2], motion[2])
 
 
-def _near(also: Array | None, centre: Array, within: tuple[float, float] | None) -> Array:
-    """(x, y, theta, m, rad): the motions that are looked at, of points about their centre."""
+def _near(also: Array | None, centre: Array, within: Within | None) -> Array:
+    """(x, y, theta, m, rad, u, v): where the local point (u, v), from the centre, may be carried, and with what turn."""
     if also is None or within is None:
-        return np.array([0.0, 0.0, 0.0, np.inf, np.inf])
-    return np.append(_about_centre(also, centre), within)
+        return np.array([0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 0.0])
+    place = rotation(also[2]) @ within.point + also[:2]
+    return np.array([*place, also[2], within.metres, within.radians, *(within.point - centre)])
 
 
 def _spread(covs: Array) -> Array:
@@ -120,6 +128,9 @@ def _anchors(q: Array, spread: Array) -> tuple[Ids, Array]:
     picked = np.array(chosen, np.int64)
     tolerance: Array = 2.5 * np.hypot(spread[a[picked]], spread[b[picked]]) + BEND * length[picked]
     return np.column_stack([a[picked], b[picked]]), tolerance
+
+
+Grid = tuple[float, Array, Array, Array, Array]
 
 
 def _refined(motion: Array, q: Array, spread: Array, gain: Array, points: Array, grid: Grid) -> Fit:

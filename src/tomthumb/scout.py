@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
-from tomthumb.constellation import Fit, fits
+from tomthumb.constellation import Fit, Within, fits
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, inverse, wrap_angle
 from tomthumb.king import Exile, King, judged, thinned
@@ -209,7 +209,7 @@ def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place
     hits = np.array([scout.branch.ledger[i].hits for i in ids.tolist()])
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
     found = []
-    here, within = _believed(scout, q, away)
+    here, within = _believed(scout, away)
     for fit in fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks, here, within):
         drift = _drift(scout, fit, away) if fit.votes >= votes else np.inf
         if drift < RIVAL:
@@ -242,15 +242,13 @@ def _old_map(scout: Scout, slam: Slam) -> Exile:
     return Exile(home, part, exist, believed=False)
 
 
-def _believed(scout: Scout, q: Array, away: Exile) -> tuple[Array, tuple[float, float]]:
-    """The motion (3,) that lays the scout's pose on the family's, and how far (m, rad) about it rivals are looked for."""
-    here = compose(away.old.pose, inverse(away.trail[-1]))
+def _believed(scout: Scout, away: Exile) -> tuple[Array, Within]:
+    """The motion (3,) that lays the scout's pose on the family's, and how far about it rivals are looked for."""
     walked = max(scout.walked(away.home.ledger[i].seen) for i in away.old.ids.tolist())
     std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
-    turn = RIVAL * max(scout.rules.drift[1] * walked, float(std[2]))
-    lever = float(np.hypot(*(q.mean(0) - away.trail[-1][:2])))
     metres = RIVAL * max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
-    return here, (metres + turn * lever, turn)
+    radians = RIVAL * max(scout.rules.drift[1] * walked, float(std[2]))
+    return compose(away.old.pose, inverse(away.trail[-1])), Within(away.trail[-1][:2], metres, radians)
 
 
 def _drift(scout: Scout, fit: Fit, away: Exile) -> float:

@@ -18,6 +18,7 @@ from tomthumb.scenarios.reading import BROKEN, BROKEN_ZIP
 from tomthumb.types import Array, Estimate, Lessons, Trace
 
 FORMAT = 1
+MOST_ID = 2**53  # beyond it ids are no longer exact as floats
 MAP_COLUMNS = ("id", "x_m", "y_m", "cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "stone")
 ARRAYS = ("t", "pose", "pose_cov", "offsets", "ids", "paired", "with_stone", "seconds", "nis", "dof", "died", "merged")
 MAYBE = ("final_ids", "final_pose")
@@ -150,8 +151,8 @@ def _map_row(path: Path, line: int, row: Sequence[str]) -> list[float]:
         values = [float(int(row[0])), *map(float, row[1:])]
     except (ValueError, OverflowError):
         raise BrokenFile(path, f"not a number among {','.join(row)}", line) from None
-    if not np.isfinite(values).all():
-        raise BrokenFile(path, "a value is not finite", line)
+    if not np.isfinite(values).all() or abs(values[0]) > MOST_ID:
+        raise BrokenFile(path, "a value is not finite, or an id beyond 2^53", line)
     xx, xy, yy = values[3:6]
     if xx <= 0.0 or xx * yy - xy * xy <= 0.0:
         raise BrokenFile(path, "the covariance is not positive definite", line)

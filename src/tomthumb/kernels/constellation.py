@@ -44,7 +44,8 @@ def search(
 
     q (k, 2) local points about their centre; spread (k,) m, standard deviation of a vote; gain (k,) what a perfect one
     adds; anchors (a, 2) pairs of local points with tolerance (a,) m on their distance; apart (2,) m, rad: basins nearer
-    than this are one; within (5,): only motions as near to (x, y, theta) as m, rad.
+    than this are one; within (7,): only motions that turn by theta and carry the local point u, v to (x, y), as near as
+    m, rad: (x, y, theta, m, rad, u, v).
     """
     k, n = q.shape[0], points.shape[0]
     motions, votes = np.zeros((basins, 3)), np.full(basins, -np.inf)
@@ -77,7 +78,9 @@ def search(
                     mx, my = 0.5 * (q[a, 0] + q[b, 0]), 0.5 * (q[a, 1] + q[b, 1])
                     tx = px + 0.5 * vx - co * mx + si * my
                     ty = py + 0.5 * vy - si * mx - co * my
-                    if math.hypot(tx - within[0], ty - within[1]) > within[3]:
+                    wx = co * within[5] - si * within[6] + tx - within[0]
+                    wy = si * within[5] + co * within[6] + ty - within[1]
+                    if wx * wx + wy * wy > within[3] * within[3]:
                         continue
                     vote, floor = 0.0, votes[basins - 1]
                     for i in range(k):
