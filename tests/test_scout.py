@@ -17,7 +17,7 @@ from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
-from tomthumb.scout import Place, Scouting, _twins, sent_out
+from tomthumb.scout import Place, Scouting, _followed, _twins, sent_out
 from tomthumb.types import Control, Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
@@ -86,6 +86,10 @@ def test_what_stands_beside_is_a_rival_and_what_was_never_seen_beside_is_the_sam
     assert _twins(slam, here, replace(beside, pose=np.array([50.0, 0.0, 0.0]))) == {}
     ledger[0].companions, ledger[1].companions = {3}, {4}
     assert _twins(slam, here, beside) == {}
+
+
+def test_what_became_of_what_became_of_a_landmark():
+    assert _followed({1: 2, 2: 3, 7: 8}) == {1: 3, 2: 3, 7: 8}
 
 
 def test_the_trail_gone_over_with_the_same_names_leads_to_the_same_place():

@@ -198,7 +198,7 @@ def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | Non
     same: dict[int, int] = {}
     for place in good[1:]:
         same |= {} if rivalled(place) else _twins(slam, good[0], place)
-    return Found(len(good[0].says), {i: same.get(j, j) for i, j in good[0].says.items()}, same)
+    return Found(len(good[0].says), good[0].says, same)
 
 
 def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place]:
@@ -215,9 +215,8 @@ def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place
         if drift < RIVAL:
             named = away.old.ids[fit.match]
             says = {i: j for i, j, m in zip(ids.tolist(), named.tolist(), fit.match.tolist(), strict=True) if m >= 0}
-            found.append(
-                Place(compose(fit.motion, away.trail[-1]), says, judged(King(), fit, q, away, slam.sensor).score, drift)
-            )
+            score = judged(King(), fit, q, away, slam.sensor).score
+            found.append(Place(compose(fit.motion, away.trail[-1]), says, score, drift))
     return sorted(found, key=lambda place: -place.score)
 
 
@@ -245,10 +244,8 @@ def _old_map(scout: Scout, slam: Slam) -> Exile:
 def _believed(scout: Scout, away: Exile) -> tuple[Array, Within]:
     """The motion (3,) that lays the scout's pose on the family's, and how far about it rivals are looked for."""
     walked = max(scout.walked(away.home.ledger[i].seen) for i in away.old.ids.tolist())
-    std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
-    metres = RIVAL * max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
-    radians = RIVAL * max(scout.rules.drift[1] * walked, float(std[2]))
-    return compose(away.old.pose, inverse(away.trail[-1])), Within(away.trail[-1][:2], metres, radians)
+    metres, radians = _allowed(scout, walked, away)
+    return compose(away.old.pose, inverse(away.trail[-1])), Within(away.trail[-1][:2], RIVAL * metres, RIVAL * radians)
 
 
 def _drift(scout: Scout, fit: Fit, away: Exile) -> float:
@@ -256,9 +253,15 @@ def _drift(scout: Scout, fit: Fit, away: Exile) -> float:
     matched = away.old.ids[fit.match[fit.match >= 0]]
     walked = scout.walked(int(np.median([away.home.ledger[i].seen for i in matched.tolist()])))
     gap = compose(fit.motion, away.trail[-1]) - away.old.pose
-    std = 5.0 * np.sqrt(np.diag(away.old.pose_cov))
-    metres = max(scout.rules.drift[0] * walked, float(np.hypot(*std[:2])))
-    return float(max(np.hypot(*gap[:2]) / metres, abs(wrap_angle(gap[2])) / max(scout.rules.drift[1] * walked, std[2])))
+    metres, radians = _allowed(scout, walked, away)
+    return float(max(np.hypot(*gap[:2]) / metres, abs(wrap_angle(gap[2])) / radians))
+
+
+def _allowed(scout: Scout, walked: float, away: Exile) -> tuple[float, float]:
+    """m and rad that odometry may have drifted over so many m, or five standard deviations of what the filter claims."""
+    x, y, turn = 5.0 * np.sqrt(np.maximum(np.diag(away.old.pose_cov), 1e-12))
+    metres, radians = scout.rules.drift
+    return max(metres * walked, float(np.hypot(x, y))), max(radians * walked, float(turn))
 
 
 def _twins(slam: Slam, best: Place, other: Place) -> dict[int, int]:
@@ -319,16 +322,16 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     Raises Diverged if the filter does not survive them.
     """
     home, since = slam.branches[0], scout.since
-    into = _survivors(home) | found.same
+    into = _followed(_merged(home) | found.same)
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = _names(home, len(scout.diary.entries))
     names = [_renamed(ids, into) for ids in ours]
     for k, (ids, _) in enumerate(_lately(scout, since)):
         names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
-    for drop, keep in found.same.items():
-        if drop in lives and keep in lives:
-            inherit(lives, keep, drop)
+    for drop in found.same:
+        if drop in lives and into[drop] in lives:
+            inherit(lives, into[drop], drop)
     _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
     fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
     return retraced(slam, scout.diary, names[::-1], fresh | lives)
@@ -349,15 +352,26 @@ def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> Non
             lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
 
 
-def _survivors(branch: Branch) -> dict[int, int]:
-    """What every merged landmark has become."""
+def _merged(branch: Branch) -> dict[int, int]:
+    """What every landmark that is no more was merged into."""
     into: dict[int, int] = {}
     node = branch.events
-    while node is not None:  # newest first, so that the survivor's own fate is known already
+    while node is not None:
         node, kind, one, other, _ = node
         if kind == "merged":
-            into[one] = into.get(other, other)
+            into[one] = other
     return into
+
+
+def _followed(into: dict[int, int]) -> dict[int, int]:
+    """Each to its end: a into b and b into c is a into c."""
+
+    def end(i: int) -> int:
+        while i in into:
+            i = into[i]
+        return i
+
+    return {i: end(i) for i in into}
 
 
 def _renamed(ids: Ids, into: dict[int, int]) -> Any:
