@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from paired import write
 
 import tomthumb
 from tomthumb.court import Court
@@ -52,7 +53,7 @@ def main() -> None:
         rows.append(row(world, trials))
         print(rows[-1], flush=True)
     if args.write:
-        args.write.write_text("\n".join(rows) + "\n", encoding="utf-8")
+        write(args.write, "lost", "\n".join(rows))
 
 
 def parse() -> argparse.Namespace:
@@ -61,7 +62,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--worlds", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     parser.add_argument("--associator", default="stt")
-    parser.add_argument("--write", type=Path)
+    parser.add_argument("--write", type=Path, help="put the table between its marks in this document")
     return parser.parse_args()
 
 
