@@ -113,13 +113,44 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def figure(path: Path, seed: int = 0) -> None:
+    """The ring's map without and with the scout."""
+    from matplotlib.figure import Figure
+
+    scenario = ring(np.random.default_rng(seed))
+    picture = Figure(figsize=(9.0, 4.6), layout="constrained")
+    for axes, scouting in zip(picture.subplots(1, 2), (None, Scouting()), strict=True):
+        slam = prepare(scenario, associator="stt")
+        slam.court.scouting = scouting
+        trace = collect(scenario.name, slam, list(slam.stream(scenario.steps)))
+        row = evaluate(trace, scenario)
+        stones = trace.final.landmarks[trace.final.stone]
+        path_now = trace.pose if trace.final_pose is None else trace.final_pose
+        axes.plot(*scenario.landmarks.T, "o", mfc="none", mec="0.6", label="true posts")
+        axes.plot(*stones.T, "k.", ms=4, label="map")
+        axes.plot(*path_now[:, :2].T, color="tab:blue", lw=1, label="path")
+        named = "with the scout" if scouting else "scan by scan"
+        axes.set(
+            title=f"{named}: {row['duplicates']} posts twice, IDF1 {row['idf1']:.1%}",
+            xlabel="x m",
+            ylabel="y m",
+            aspect="equal",
+        )
+    axes.legend(loc="center", frameon=False)
+    picture.savefig(path)
+
+
 def main() -> None:
     """Runs what is missing, prints the table, writes it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("out/loops.jsonl"))
     parser.add_argument("--write", type=Path, help="put the table between its marks in this document")
+    parser.add_argument("--figure", type=Path, help="only draw the ring without and with the scout")
     options = parser.parse_args()
+    if options.figure:
+        figure(options.figure)
+        return
     text = table(runs(options.seeds, options.out))
     print(text)
     if options.write:
