@@ -66,6 +66,8 @@ HEAD = "id,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,stone\n"
         ("a,b\n", r"map\.csv:1: a map starts with the columns"),
         (HEAD + "1,2\n", r"map\.csv:2: 2 columns, 7 are needed"),
         (HEAD + "1,2,3,1,0,1,1\n2,x,3,1,0,1,1\n", r"map\.csv:3: not a number"),
+        (HEAD + '1,2,3,1,0,1,"1\n2,3"\n', r"map\.csv:2: not a number among '1,2,3,1,0,1,1\\n2,3'"),
+        (HEAD + "99999999999999999999,2,3,1,0,1,1\n", r"map\.csv:2: .*an id beyond 2\^53"),
         (HEAD + "1,nan,3,1,0,1,1\n", r"map\.csv:2: a value is not finite"),
         (HEAD + "1,2,3,1,2,1,1\n", r"map\.csv:2: the covariance is not positive definite"),
         (HEAD + "1,2,3,1,0,1,1\n1,2,3,1,0,1,1\n", "the same id stands twice"),

@@ -150,7 +150,7 @@ def _map_row(path: Path, line: int, row: Sequence[str]) -> list[float]:
     try:
         values = [float(int(row[0])), *map(float, row[1:])]
     except (ValueError, OverflowError):
-        raise BrokenFile(path, f"not a number among {','.join(row)}", line) from None
+        raise BrokenFile(path, f"not a number among {','.join(row)[:200]!r}", line) from None
     if not np.isfinite(values).all() or abs(values[0]) > MOST_ID:
         raise BrokenFile(path, "a value is not finite, or an id beyond 2^53", line)
     xx, xy, yy = values[3:6]
