@@ -17,7 +17,7 @@ from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
-from tomthumb.scout import Place, Scouting, _followed, _twins, sent_out
+from tomthumb.scout import Place, Scouting, _followed, _once, _twins, sent_out
 from tomthumb.types import Control, Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
@@ -86,6 +86,19 @@ def test_what_stands_beside_is_a_rival_and_what_was_never_seen_beside_is_the_sam
     assert _twins(slam, here, replace(beside, pose=np.array([50.0, 0.0, 0.0]))) == {}
     ledger[0].companions, ledger[1].companions = {3}, {4}
     assert _twins(slam, here, beside) == {}
+
+
+def test_no_landmark_is_named_twice_in_one_scan():
+    ids, first = np.array([4, 7, -1, 4, 7, -1, 9]), np.array([False, True, False, True, True, False, False])
+    assert _once(ids, first).tolist() == [-1, 7, -1, 4, -1, -1, 9]
+    assert _once(np.empty(0, np.int64), np.empty(0, bool)).tolist() == []
+    _, _, found, slam = told(ring(0), LOOPS)
+    assert found
+    node = slam.branches[0].history
+    while node is not None:
+        node, names, *_ = node
+        named = names[names >= 0]
+        assert len(np.unique(named)) == len(named)
 
 
 def test_what_became_of_what_became_of_a_landmark():

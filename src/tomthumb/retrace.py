@@ -63,7 +63,7 @@ def retraced(slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int,
     paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
     return replace(
         best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events,
-        history=_rewritten(best.history, names[:-1], poses[:-1]),        ids=names[-1], paired=paired,
+        history=_rewritten(best.history, names[:-1], poses[:-1]), ids=names[-1], paired=paired,
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from tomthumb.king import Exile, King, judged, thinned
 from tomthumb.lifecycle import Ledger, copy_ledger, inherit
 from tomthumb.retrace import Diary, Entry, begun, retraced
 from tomthumb.revision import Moment, twin_of
-from tomthumb.types import Array, Estimate, Ids
+from tomthumb.types import Array, Estimate, Ids, Mask
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -325,9 +325,10 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     into = _followed(_merged(home) | found.same)
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = _names(home, len(scout.diary.entries))
-    names = [_renamed(ids, into) for ids in ours]
+    names = [_once(_renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
     for k, (ids, _) in enumerate(_lately(scout, since)):
-        names[k] = np.where(np.isin(ids, list(mine)), _renamed(_renamed(ids, found.named), into), names[k])
+        his = np.isin(ids, list(mine))
+        names[k] = _once(np.where(his, _renamed(_renamed(ids, found.named), into), names[k]), his)
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop in found.same:
         if drop in lives and into[drop] in lives:
@@ -335,6 +336,15 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
     fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
     return retraced(slam, scout.diary, names[::-1], fresh | lives)
+
+
+def _once(ids: Ids, first: Mask) -> Ids:
+    """Names (m,) of one scan with no landmark named twice: those of `first` (m,) count before others, and one of each."""
+    out = ids.copy()
+    order = np.argsort(~first, kind="stable")
+    taken = np.unique(ids[order], return_index=True)[1]
+    out[np.setdiff1d(order, order[taken])] = -1
+    return out
 
 
 def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
