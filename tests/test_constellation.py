@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tomthumb.constellation import fits, spacing
-from tomthumb.geometry import align, inverse, to_world
+from tomthumb.constellation import Within, fits, spacing
+from tomthumb.geometry import align, compose, inverse, to_world
 
 
 def scattered(rng: np.random.Generator, n: int = 200, side: float = 30.0) -> np.ndarray:
@@ -34,6 +34,20 @@ def test_a_part_is_found_wherever_it_lies_with_all_its_pairs(seed):
     assert (best.match[hit] == chosen[hit]).mean() > 0.9
     np.testing.assert_allclose(to_world(best.motion, q), points[chosen], atol=0.15)
     assert all(other.gain < 0.75 * best.gain for other in others)
+
+
+@pytest.mark.parametrize(("shift", "turn", "there"), [(1.5, 0.1, True), (3.0, 0.0, False), (0.0, 0.5, False)])
+def test_places_beyond_the_bounds_are_not_looked_at(shift, turn, there):
+    rng = np.random.default_rng(5)
+    points, motion = scattered(rng), np.array([12.0, -7.0, 2.5])
+    q, _ = part_of(points, rng, 0.02, motion)
+    pivot = q.mean(0)
+    place = to_world(motion, pivot[None])[0] + [shift, 0.0]
+    also = np.append(place - to_world(np.array([0.0, 0.0, motion[2] + turn]), pivot[None])[0], motion[2] + turn)
+    np.testing.assert_allclose(compose(also, np.append(pivot, 0.0))[:2], place)
+    found = fits(q, np.tile(0.02**2 * np.eye(2), (len(q), 1, 1)), points, also, Within(pivot, 2.0, 0.3))
+    right = [np.abs(fit.motion - motion).max() < 0.2 for fit in found]
+    assert any(right) == there
 
 
 def test_the_motion_is_that_of_least_squares_and_its_covariance_what_repetition_shows():

@@ -36,6 +36,16 @@ def nearest(
 
 
 @jit
+def _beyond(within: Array, x: float, y: float, theta: float, co: float, si: float) -> bool:
+    """Whether a motion (x, y, theta), with its cosine and sine, lies outside `within` as `search` has it."""
+    if abs((theta - within[2] + math.pi) % (2.0 * math.pi) - math.pi) > within[4]:
+        return True
+    u = co * within[5] - si * within[6] + x - within[0]
+    v = si * within[5] + co * within[6] + y - within[1]
+    return bool(u * u + v * v > within[3] * within[3])
+
+
+@jit
 def search(
     q: Array, spread: Array, gain: Array, anchors: Array, tolerance: Array, points: Array, cell: float, low: Array,
     shape: Array, start: Array, index: Array, apart: Array, within: Array, basins: int, budget: int,
@@ -72,15 +82,11 @@ def search(
                         continue
                     tried += 1
                     theta = math.atan2(qx * vy - qy * vx, qx * vx + qy * vy)
-                    if abs((theta - within[2] + math.pi) % (2.0 * math.pi) - math.pi) > within[4]:
-                        continue
                     co, si = math.cos(theta), math.sin(theta)
                     mx, my = 0.5 * (q[a, 0] + q[b, 0]), 0.5 * (q[a, 1] + q[b, 1])
                     tx = px + 0.5 * vx - co * mx + si * my
                     ty = py + 0.5 * vy - si * mx - co * my
-                    wx = co * within[5] - si * within[6] + tx - within[0]
-                    wy = si * within[5] + co * within[6] + ty - within[1]
-                    if wx * wx + wy * wy > within[3] * within[3]:
+                    if _beyond(within, tx, ty, theta, co, si):
                         continue
                     vote, floor = 0.0, votes[basins - 1]
                     for i in range(k):
