@@ -13,7 +13,7 @@ import numpy as np
 from tomthumb.branches import Branch, Scan
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, rotation
-from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
+from tomthumb.king import Exile, King, Return, left_behind, pose_home, small, way_home
 from tomthumb.lifecycle import inherit
 from tomthumb.lookout import Found, Lookout, spliced
 from tomthumb.places import Guess
@@ -120,7 +120,8 @@ class Court:
             return {"king": "away"}
         now = slam.estimator.estimate(here.belief)
         guess = Guess(now.pose, away.old.pose_cov, 0.5 if away.believed else 0.0)
-        way = way_home(king, away, now, here.ledger, guess, slam.sensor, slam.detection)
+        mine = small(now, here.ledger, slam.scan, len(away.trail))
+        way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
         if way is None:
             return {"king": "away"}
         slam.branches = [go_home(slam.estimator, away, here, way, slam.index, slam.scan, slam.policy.hits)]

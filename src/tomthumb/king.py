@@ -16,13 +16,26 @@ import numpy as np
 
 from tomthumb.branches import Branch
 from tomthumb.constellation import Fit, fits, fitted, perfect
-from tomthumb.geometry import compose, compose_jacobians, inverse
+from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
-from tomthumb.places import Guess, Local, as_believed, clear, most_elsewhere, stones, unknown, view, weighed
+from tomthumb.places import (
+    Guess,
+    Local,
+    Stones,
+    as_believed,
+    bare,
+    clear,
+    most_elsewhere,
+    stones,
+    view,
+    weighed,
+)
 from tomthumb.protocols import Sensor
 from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Estimate, Ids, Mask
 
+KNOWN = 0.5  # of what is seen must lie where there are stones, to speak against where the robot believes to be
+LATELY = 5  # scans: what was seen in them is here
 LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no proof of it
 
 
@@ -34,7 +47,7 @@ class King:
     has not fled. every: scans between two attempts of one that has.
     """
 
-    lead: float = 10.0
+    lead: float = 7.0
     rare: float = 12.0
     every: int = 1
 
@@ -74,34 +87,59 @@ def left_behind(branch: Branch, old: Estimate) -> Exile:
 
 
 def way_home(
-    king: King, away: Exile, here: Estimate, ledger: Ledger, guess: Guess, sensor: Sensor, detection: DetectionMap
+    king: King, away: Exile, here: Small, guess: Guess, sensor: Sensor, detection: DetectionMap
 ) -> Return | None:
-    """Where the local map `here` lies in the old one, if that can be verified; None otherwise. `guess`: where the robot
+    """Where the small map `here` lies in the old one, if that can be verified; None otherwise. `guess`: where the robot
     is believed to be in the old map.
     """
-    part = here.only(_seen_again(here, ledger, len(away.trail)))
-    if min(len(part.ids), len(away.old.ids)) < LEAST:
+    q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
+    if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
-    q, covs, old = part.landmarks, part.covs, stones(away.old.landmarks, away.exist)
+    old = stones(away.old.landmarks, away.exist)
     most = most_elsewhere(perfect(q, covs, old.points), old, guess)
-    if guess.weight > 0.5 and most - guess.odds[1] < king.lead:
+    if guess.firm and most < king.lead + guess.odds[1]:
         return None
-    local = Local(q, here.pose, view(sensor, detection, away.trail, q))
-    believed, rest = compose(guess.pose, inverse(local.pose)), unknown(local, old, guess)
-    if guess.weight > 0.5 and most < king.lead + max([rest, *weighed([fitted(q, covs, old.points, believed)], local, old, guess)]):
-        return None
+    local = Local(q, pose, view(sensor, detection, away.trail, q))
+    believed = compose(guess.pose, inverse(pose))
+    if guess.firm:
+        known = float(old.cover(to_world(believed, q[here.lately])).mean())
+        fit = fitted(q, covs, old.points, believed)
+        if known < KNOWN or _may_stay(king, fit, local, old, guess, most):
+            return None
     found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
+    rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
     chosen = clear(weighed(found, local, old, guess), rest, king.lead)
-    if chosen is None:
+    if chosen is None or not _is_here(found[chosen], here.lately):
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
-    return Return(fit, part.ids, named, as_believed(fit, local, old, guess))
+    return Return(fit, here.part.ids, named, as_believed(fit, local, old, guess))
 
 
-def _seen_again(here: Estimate, ledger: Ledger, scans: int) -> Mask:
-    """Local landmarks that are no single sightings, once there has been time to see them again."""
-    return np.array([scans < 3 or ledger[i].hits > 1.0 for i in here.ids.tolist()], bool)
+def _may_stay(king: King, fit: Fit, local: Local, old: Stones, guess: Guess, most: float) -> bool:
+    """Whether what is believed, or `fit` beside it, holds its own against whatever may be elsewhere."""
+    best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
+    return bool(max([bare(local, old, guess), *best]) > most - king.lead)
+
+
+def _is_here(fit: Fit, lately: Mask) -> bool:
+    """Whether half of what was seen lately is part of the fit: not only of where the robot was before it was carried."""
+    return bool(2 * np.count_nonzero(fit.match[lately] >= 0) >= max(int(lately.sum()), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Small:
+    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
+
+    part: Estimate
+    lately: Mask
+
+
+def small(here: Estimate, ledger: Ledger, scan: int, scans: int) -> Small:
+    """The map of the last `scans` without single sightings, once there has been time to see what there is again."""
+    again = here.only(np.array([scans < 3 or ledger[i].hits > 1.0 for i in here.ids.tolist()], bool))
+    lately = np.array([ledger[i].seen > scan - LATELY for i in again.ids.tolist()], bool)
+    return Small(again, lately)
 
 
 def pose_home(fit: Fit, pose: Array, cov: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tomthumb.branches import Branch
 from tomthumb.errors import Diverged
-from tomthumb.king import Exile, King, Return, left_behind, way_home
+from tomthumb.king import Exile, King, Return, left_behind, small, way_home
 from tomthumb.places import Guess
 from tomthumb.revision import Moment, apart_from
 from tomthumb.types import Array, Control
@@ -32,14 +32,15 @@ CERTAIN = 1e-12 * np.eye(3)  # a brother's first pose is his map's own frame
 @dataclass(frozen=True, slots=True)
 class Keeping:
     """every: scans between two looks, and between the starts of two brothers. life: scans that a brother walks; every
-    fourth one (`elder`) walks four times as long. content: share of the last observations with an old name from which on
-    none sets out.
+    second one (`elder`) walks twice as long. content: share of the last observations with an old name from which on
+    none sets out. long: scans ago it was given, that a name may be called old.
     """
 
     every: int = 5
     life: int = 20
-    elder: int = 4
+    elder: int = 2
     content: float = 0.8
+    long: int = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ class Lookout:
 
     def _count(self, slam: Slam) -> None:
         """How many of this scan's observations were given names of landmarks older than anybody who is out."""
-        branch, oldest = slam.branches[0], slam.scan - self.rules.elder * self.rules.life
+        branch, oldest = slam.branches[0], slam.scan - self.rules.long
         lives = [branch.ledger.get(i) for i in branch.paired.tolist() if i not in branch.crumbs]
         self.named.append((sum(life is not None and life.born <= oldest for life in lives), len(branch.ids)))
         if len(self.named) > self.rules.every:
@@ -166,7 +167,8 @@ def ask(walker: Walker, slam: Slam, king: King) -> Found | None:
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
     guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare))
-    way = way_home(king, away, here, walker.branch.ledger, guess, slam.sensor, slam.detection)
+    mine = small(here, walker.branch.ledger, slam.scan, len(walker.trail))
+    way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
     return None if way is None or way.expected else Found(way, walker, away)
 
 

@@ -77,6 +77,11 @@ class Guess:
     weight: float
 
     @property
+    def firm(self) -> bool:
+        """Believed rather than not: then being elsewhere is what has to be shown."""
+        return self.weight > 0.5
+
+    @property
     def odds(self) -> tuple[float, float]:
         """log of the probabilities that it is right, and that it is wrong."""
         return (float(np.log(self.weight)) if self.weight > 0.0 else -np.inf), float(np.log1p(-self.weight))
@@ -134,11 +139,9 @@ def weighed(found: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> Ar
     return np.array(weights)
 
 
-def unknown(local: Local, old: Stones, guess: Guess) -> float:
-    """Log weight of all else: the robot is where it believes to be and nothing there has a partner, or off the map."""
-    here = compose(guess.pose, inverse(local.pose))
-    right, wrong = guess.odds
-    return float(np.logaddexp(right + evidence(here, None, local, old), wrong))
+def bare(local: Local, old: Stones, guess: Guess) -> float:
+    """Log weight of being where the robot believes to be, with none of what it sees there on the map."""
+    return guess.odds[0] + evidence(compose(guess.pose, inverse(local.pose)), None, local, old)
 
 
 def most_elsewhere(best: Fit, old: Stones, guess: Guess) -> float:
