@@ -10,6 +10,7 @@ A kidnapped robot, a start at an unknown place of a known map, and a filter that
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,11 +44,12 @@ LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no p
 class King:
     """When a place is believed; reasons in docs/lost.md.
 
-    lead: nats by which it must outweigh all else together. rare: nats against having been carried away, for a robot that
-    has not fled. every: scans between two attempts of one that has.
+    lead: nats by which it must outweigh all else together; no rival's pairs may weigh `rival` of its own. rare: nats
+    against having been carried away, for a robot that has not fled. every: scans between two attempts of one that has.
     """
 
     lead: float = 7.0
+    rival: float = 0.8
     rare: float = 12.0
     every: int = 1
 
@@ -104,12 +106,12 @@ def way_home(
     if guess.firm:
         known = float(old.cover(to_world(believed, q[here.lately])).mean())
         fit = fitted(q, covs, old.points, believed)
-        if known < KNOWN or _may_stay(king, fit, local, old, guess, most):
+        if (known < KNOWN and not guess.doubted) or _may_stay(king, fit, local, old, guess, most):
             return None
     found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
     rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
     chosen = clear(weighed(found, local, old, guess), rest, king.lead)
-    if chosen is None or not _is_here(found[chosen], here.lately):
+    if chosen is None or not _is_here(found[chosen], here.lately) or _rivalled(king, found, chosen):
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
@@ -120,6 +122,13 @@ def _may_stay(king: King, fit: Fit, local: Local, old: Stones, guess: Guess, mos
     """Whether what is believed, or `fit` beside it, holds its own against whatever may be elsewhere."""
     best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
     return bool(max([bare(local, old, guess), *best]) > most - king.lead)
+
+
+def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:
+    """Whether another place explains the local map nearly as well, and only what it lacks speaks for the one: where the old
+    map has something too much, that says nothing.
+    """
+    return any(fit.gain > king.rival * found[chosen].gain for k, fit in enumerate(found) if k != chosen)
 
 
 def _is_here(fit: Fit, lately: Mask) -> bool:

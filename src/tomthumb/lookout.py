@@ -111,8 +111,11 @@ class Lookout:
             self.recent.popleft()
         self.walkers = [walker for walker in self.walkers if walker.go_along(moment)]
 
-    def after(self, slam: Slam, king: King) -> Found | None:
-        """After each scan: who sets out, who has walked enough, and at every look what they have found."""
+    def after(self, slam: Slam, king: King, doubted: bool) -> Found | None:
+        """After each scan: who sets out, who has walked enough, and at every look what they have found.
+
+        `doubted`: something speaks against the believed pose.
+        """
         self._count(slam)
         if (slam.scan + 1) % self.rules.every:
             return None
@@ -121,7 +124,7 @@ class Lookout:
         self.walkers = [walker for walker in self.walkers if len(walker.trail) <= walker.life]
         for walker in self.walkers:
             if walker.has_news(self.rules):
-                found = ask(walker, slam, king)
+                found = ask(walker, slam, king, doubted)
                 if found is not None:
                     return found
         return None
@@ -158,7 +161,7 @@ def _loop(slam: Slam, since: Note) -> Slam:
     return loop
 
 
-def ask(walker: Walker, slam: Slam, king: King) -> Found | None:
+def ask(walker: Walker, slam: Slam, king: King, doubted: bool) -> Found | None:
     """The place that a brother has found, if it is another one than the family believes."""
     home = slam.branches[0]
     whole = slam.estimator.estimate(home.belief)
@@ -166,7 +169,7 @@ def ask(walker: Walker, slam: Slam, king: King) -> Found | None:
     away = left_behind(home, whole.only(old))
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
-    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare))
+    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), doubted)
     mine = small(here, walker.branch.ledger, slam.scan, len(walker.trail))
     way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
     return None if way is None or way.expected else Found(way, walker, away)

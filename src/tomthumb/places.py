@@ -10,7 +10,7 @@ Then a place is believed if it outweighs all the others together, and that nobod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from tomthumb.types import Array, Mask
 
 GONE = 0.1  # of the stones of a map that is in order are hidden or no more
 NEW = 0.1  # of the landmarks where the old map has others are not on it
+STRANGE = 1.0  # nats for a landmark that the old map lacks where it has others, in a map that may be torn
 DRIFT = (0.05, 0.03)  # m, rad: that far off a filter that is all right may be, beside three standard deviations
 POSES = 20  # of the trail, at least where it has so many, from which the view is drawn
 FINE, MOST = 10, 100  # cells of the view to the sensor's range, and at most along one side
@@ -70,11 +71,15 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`."""
+    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`.
+
+    `doubted`: something was seen on the way that speaks against it.
+    """
 
     pose: Array
     cov: Array
     weight: float
+    doubted: bool = False
 
     @property
     def firm(self) -> bool:
@@ -131,6 +136,31 @@ def evidence(motion: Array, fit: Fit | None, local: Local, old: Stones) -> float
     pairs = 0.0 if fit is None else fit.gain + float(np.log(np.maximum(seen[met], GONE)).sum())
     strange = float(np.count_nonzero(there & ~hit)) * np.log(NEW)
     return float(pairs + np.log1p(-seen[~met]).sum() + strange + expected)
+
+
+def explained(fit: Fit, q: Array, trail: Sequence[Array], sensor: Sensor, old: Stones) -> float:
+    """Nats by which the pairs of a fit outweigh what is missing and what is strange, by the sensor's data sheet alone.
+
+    For places within the drift of odometry (`scout`): what they were likely beforehand is not in it.
+    """
+    hit, met = fit.match >= 0, np.zeros(len(old.points), bool)
+    met[fit.match[hit]] = True
+    chance = _seen(sensor, [compose(fit.motion, pose) for pose in trail], old.points) * old.exist
+    missing = np.minimum(chance[(chance > 0.5) & ~met], 1.0 - GONE)
+    there = old.cover(to_world(fit.motion, q)) | hit
+    return fit.gain + float(np.log1p(-missing).sum()) - STRANGE * float(np.count_nonzero(there & ~hit))
+
+
+def _seen(sensor: Sensor, poses: Iterable[Array], points: Array) -> Array:
+    """Chance (n,) that each point would have been seen at least once from the poses."""
+    unseen = np.ones(len(points))
+    still = np.full((len(points), 2), 1e-4)
+    for pose in poses:
+        near = np.flatnonzero(np.hypot(*(points - sensor.frame(pose)[:2]).T) < sensor.max_range)
+        if len(near):
+            z_hat = sensor.expect(pose, points[near])[0]
+            unseen[near] *= 1.0 - sensor.in_view(z_hat, still[near]) * sensor.detect
+    return 1.0 - unseen
 
 
 def weighed(found: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> Array:

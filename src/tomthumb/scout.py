@@ -23,7 +23,7 @@ from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, inverse, wrap_angle
 from tomthumb.king import Exile
 from tomthumb.lifecycle import Ledger, copy_ledger, inherit
-from tomthumb.places import Local, evidence, stones, thinned, view
+from tomthumb.places import explained, stones, thinned
 from tomthumb.retrace import Diary, Entry, begun, retraced
 from tomthumb.revision import Moment, twin_of
 from tomthumb.types import Array, Estimate, Ids, Mask
@@ -211,14 +211,13 @@ def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
     found = []
     here, within = _believed(scout, away)
-    local = Local(q, away.trail[-1], view(slam.sensor, slam.detection, away.trail, q))
     old = stones(away.old.landmarks, away.exist)
     for fit in fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks, here, within):
         drift = _drift(scout, fit, away) if fit.votes >= votes else np.inf
         if drift < RIVAL:
             named = away.old.ids[fit.match]
             says = {i: j for i, j, m in zip(ids.tolist(), named.tolist(), fit.match.tolist(), strict=True) if m >= 0}
-            score = evidence(fit.motion, fit, local, old)
+            score = explained(fit, q, away.trail, slam.sensor, old)
             found.append(Place(compose(fit.motion, away.trail[-1]), says, score, drift))
     return sorted(found, key=lambda place: -place.score)
 
