@@ -31,14 +31,14 @@ CERTAIN = 1e-12 * np.eye(3)  # a brother's first pose is his map's own frame
 
 @dataclass(frozen=True, slots=True)
 class Keeping:
-    """every: scans between two looks, and between the starts of two brothers. life: scans that a brother walks; every
-    second one (`elder`) walks twice as long. content: share of the last observations with an old name from which on
-    none sets out. long: scans ago it was given, that a name may be called old.
+    """every: scans between two looks, and between the starts of two brothers; what one has seen from before the robot was
+    carried away is of no use to him, so he is there for at most so many scans in vain. life: scans that a brother walks.
+    content: share of the last observations with an old name from which on none sets out. long: scans ago it was given,
+    that a name may be called old.
     """
 
-    every: int = 5
-    life: int = 20
-    elder: int = 2
+    every: int = 3
+    life: int = 24
     content: float = 0.8
     long: int = 80
 
@@ -57,21 +57,16 @@ class Note:
 
 @dataclass(slots=True)
 class Walker:
-    """A brother's loop, where it began, his poses at each scan since, and how long he walks (scans)."""
+    """A brother's loop, where it began, and his poses at each scan since."""
 
     loop: Slam
     since: Note
-    life: int
     trail: list[Array] = field(default_factory=list)
 
     @property
     def branch(self) -> Branch:
         """His map, and what he calls its landmarks."""
         return self.loop.branches[0]
-
-    def has_news(self, rules: Keeping) -> bool:
-        """At every look while he is young; later on less often, for what he knows changes more slowly."""
-        return len(self.trail) <= rules.life or len(self.trail) % rules.life == 0
 
     def go_along(self, moment: Moment) -> bool:
         """One step; False when his filter is lost."""
@@ -101,7 +96,6 @@ class Lookout:
     recent: deque[Note] = field(default_factory=deque)
     walkers: list[Walker] = field(default_factory=list)
     named: deque[tuple[int, int]] = field(default_factory=deque)
-    started: int = 0
 
     def before(self, slam: Slam, moment: Moment) -> None:
         """Before each step: all who are out go along."""
@@ -121,12 +115,11 @@ class Lookout:
             return None
         if self._discontent():
             self._set_out(slam)
-        self.walkers = [walker for walker in self.walkers if len(walker.trail) <= walker.life]
+        self.walkers = [walker for walker in self.walkers if len(walker.trail) <= self.rules.life]
         for walker in self.walkers:
-            if walker.has_news(self.rules):
-                found = ask(walker, slam, king, doubted)
-                if found is not None:
-                    return found
+            found = ask(walker, slam, king, doubted)
+            if found is not None:
+                return found
         return None
 
     def _count(self, slam: Slam) -> None:
@@ -143,10 +136,7 @@ class Lookout:
 
     def _set_out(self, slam: Slam) -> None:
         """A new brother, who has seen the last `every` scans."""
-        rules = self.rules
-        life = rules.life * (1 if self.started % rules.elder else rules.elder)
-        walker = Walker(_loop(slam, self.recent[0]), self.recent[0], life)
-        self.started += 1
+        walker = Walker(_loop(slam, self.recent[0]), self.recent[0])
         if all(walker.go_along(note.moment) for note in self.recent):
             self.walkers.append(walker)
 
