@@ -9,8 +9,8 @@ import pytest
 
 import tomthumb
 from tomthumb.errors import TomThumbError
-from tomthumb.places import thinned
 from tomthumb.metrics.evaluation import evaluate
+from tomthumb.places import thinned
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
