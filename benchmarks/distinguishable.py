@@ -19,7 +19,7 @@ from tomthumb.types import Array, Ids, Scenario, Step
 MARGIN = 3  # landmarks more than at any other place
 REACH = 2.5  # times the misfit: within that a landmark is matched
 SAME = 0.5, 0.2  # m, rad: motions nearer than this are the same place
-LIMIT = 0.1  # m, the least misfit that is reckoned with: what a landmark's own error on a map is
+LIMIT = 0.02  # m, the least misfit that is reckoned with
 
 
 @dataclass(frozen=True)
