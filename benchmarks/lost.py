@@ -31,7 +31,7 @@ from tomthumb.types import Array, Estimate, Ids, Scenario, Step
 
 STEPS, RIGHT = 20, 0.5  # steps to come home in; m within which a landmark stands where it should
 WARM = 40  # steps that a log goes on with the king before the jump: whoever is out then is out as in any run
-WITHIN = (5, 10, 20, 50, 100, 200)
+WITHIN = (5, 10, 20, 50, 100)
 DATA = Path(os.environ.get("TOMTHUMB_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
