@@ -28,17 +28,59 @@ def log_odds(n: int, visible: Array, exist: Array) -> Array:
 
 
 @jit
-def own_gains(z: Array, clutter: Array, bearing: bool) -> Array:
-    """-log lambda0 of each observation (m,): false ones cannot be denser than all over the box that they fill."""
-    m, most = z.shape[0], np.inf
-    if m >= 4:
-        width = z[:, 1].max() - z[:, 1].min()
-        area = (z[:, 0].max() - z[:, 0].min()) * (min(width, 2.0 * math.pi) if bearing else width)
-        most = m / area if area > 0.0 else np.inf
-    gains = np.empty(m)
-    for i in range(m):
-        gains[i] = -math.log(min(clutter[i], most))
-    return gains
+def own_gains(z: Array, clutter: Array, z_hat: Array, odds: Array, bearing: bool) -> Array:
+    """-log lambda0 of each observation (m,): `clutter` (m,) as told, thinned where it contradicts the scan.
+
+    False ones cannot be denser than all m over the box that they fill. And where as many as told over that box would be
+    more than m and the detections to be expected leave room for (odds (n,) of each prediction, of size 0: not known),
+    they are thinner everywhere or, at even odds, as told where landmarks are expected and nowhere else.
+    """
+    m, n = z.shape[0], z_hat.shape[0]
+    rates, low, wide = clutter.copy(), *_box(z, bearing)
+    told, area = clutter.sum() / max(m, 1) * wide[0] * wide[1], wide[0] * wide[1]
+    room = _room(m, odds)
+    if m >= 4 and n >= 2 and odds.size and told > room:
+        seen, view = _box(z_hat, bearing)
+        spread = (n + 1.0) / (n - 1.0)  # the box of n points, on average, is so much smaller than what they come from
+        there = min(1.0, room / told * area / max(spread * spread * view[0] * view[1], 1e-300))
+        for i in range(m):
+            inside = True
+            for c in range(2):
+                off = z[i, c] - seen[c] - 0.5 * view[c]
+                if c == 1 and bearing:
+                    off = (off + math.pi) % (2.0 * math.pi) - math.pi
+                inside &= abs(off) <= 0.5 * spread * view[c]
+            rates[i] *= 0.5 * (room / told + (there if inside else 0.0))
+    elif m >= 4 and area > 0.0:
+        rates = np.minimum(rates, m / area)
+    return -np.log(rates)
+
+
+@jit
+def _box(z: Array, bearing: bool) -> tuple[Array, Array]:
+    """Lowest corner (2,) and sides (2,) of the box that points (k, 2) fill; a bearing's side is a turn at most."""
+    low, wide = np.zeros(2), np.zeros(2)
+    for c in range(2):
+        if z.shape[0]:
+            low[c] = z[:, c].min()
+            wide[c] = z[:, c].max() - low[c]
+    if bearing:
+        wide[1] = min(wide[1], 2.0 * math.pi)
+    return low, wide
+
+
+@jit
+def _room(m: int, odds: Array) -> float:
+    """How many of m observations are false beside the detections to be expected, at least one.
+
+    Infinite where many more are expected than were made: then not all of the predictions can be in view.
+    """
+    expected, variance = 0.0, 0.0
+    for j in range(odds.shape[0]):
+        chance = 1.0 / (1.0 + math.exp(-odds[j]))
+        expected += chance
+        variance += chance * (1.0 - chance)
+    return max(m - expected, 1.0) if m - expected > -2.0 * math.sqrt(variance) else math.inf
 
 
 @jit
