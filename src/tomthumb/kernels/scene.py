@@ -35,21 +35,18 @@ def own_gains(z: Array, clutter: Array, z_hat: Array, odds: Array, bearing: bool
     more than m and the detections to be expected leave room for (odds (n,) of each prediction, of size 0: not known),
     they are thinner everywhere or, at even odds, as told where landmarks are expected and nowhere else.
     """
-    m, n = z.shape[0], z_hat.shape[0]
-    rates, low, wide = clutter.copy(), *_box(z, bearing)
-    told, area = clutter.sum() / max(m, 1) * wide[0] * wide[1], wide[0] * wide[1]
-    room = _room(m, odds)
+    m, n, sides = z.shape[0], z_hat.shape[0], _box(z, bearing)[1]
+    area, rates = sides[0] * sides[1], clutter.copy()
+    told, room = clutter.sum() / max(m, 1) * area, _room(m, odds)
     if m >= 4 and n >= 2 and odds.size and told > room:
-        seen, view = _box(z_hat, bearing)
-        spread = (n + 1.0) / (n - 1.0)  # the box of n points, on average, is so much smaller than what they come from
-        there = min(1.0, room / told * area / max(spread * spread * view[0] * view[1], 1e-300))
+        corner, view = _box(z_hat, bearing)
+        centre, view = corner + 0.5 * view, view * (n + 1.0) / (n - 1.0)  # n points fill so much less than their box
+        there = min(1.0, room / told * area / max(view[0] * view[1], 1e-300))
         for i in range(m):
-            inside = True
-            for c in range(2):
-                off = z[i, c] - seen[c] - 0.5 * view[c]
-                if c == 1 and bearing:
-                    off = (off + math.pi) % (2.0 * math.pi) - math.pi
-                inside &= abs(off) <= 0.5 * spread * view[c]
+            x, y = z[i, 0] - centre[0], z[i, 1] - centre[1]
+            if bearing:
+                y = (y + math.pi) % (2.0 * math.pi) - math.pi
+            inside = abs(x) <= 0.5 * view[0] and abs(y) <= 0.5 * view[1]
             rates[i] *= 0.5 * (room / told + (there if inside else 0.0))
     elif m >= 4 and area > 0.0:
         rates = np.minimum(rates, m / area)

@@ -35,6 +35,8 @@ Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predi
 SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
+SHORT, SOON = 48, 1000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
+LISTED, MANY = 6.0, 64  # nats from the best, and number, of the hypotheses that are listed
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -102,6 +104,10 @@ class TomThumb:
         bold = self.courage if hard and self.decide != "map" else 0.0
         own = own + bold  # hypotheses of few pairs are many in an ambiguous scan: see docs/stt.md
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
+        if self._may_be_listed(problem, near):
+            listed = self._listed(given, near)
+            if listed:
+                return listed
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
@@ -137,6 +143,16 @@ class TomThumb:
         few = near.start[-1] <= len(problem.z)
         return bool(few and self.quick > 0.0 and problem.evidence is None and self.gates[0] >= self.gates[1])
 
+    def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
+        """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
+        wanted = self.decide == "marginal" and self.brothers == 1 and self.courage == 0.0
+        if not wanted or near.start[-1] > SHORT or self.gates[0] < self.gates[1]:
+            return False
+        given = problem.predictions
+        if given.pose_cov is None:
+            return False
+        return bool(posterior.bent(given.z_hat, given.cov, problem.R, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
+
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
         m = len(near.start) - 1
@@ -154,6 +170,16 @@ class TomThumb:
         """
         match, chance, free = marginals.pick(p, none, self.least)
         return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
+
+    def _listed(self, given: Given, near: Window) -> Sequence[Association]:
+        """The decision by the sums over all hypotheses that count; none where they are too many."""
+        whole, p, none, _best, value, nodes = posterior.listed(
+            *given, near.start, near.columns, gate_of_two(self.gates[1]), LISTED, min(self.nodes, SOON), MANY
+        )
+        if not whole:
+            return []
+        match, chance = most_probable(p, none, self.least)
+        return [Association(match, value, {"proof": "optimal", "nodes": nodes, "objective": value}, chance)]
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
