@@ -31,7 +31,7 @@ class Window:
     @property
     def counts(self) -> Ids:
         """Number of candidates of each observation (m,)."""
-        return np.diff(self.start)
+        return self.start[1:] - self.start[:-1]
 
 
 @dataclass(frozen=True, slots=True)
