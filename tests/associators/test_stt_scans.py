@@ -38,7 +38,7 @@ def test_the_motion_and_what_is_left_over_make_up_the_covariance_of_bearings_too
 
 
 def test_map_mode_finds_the_proven_optimum_in_ambiguous_scans():
-    """By the objective of `map`, without the courage that decisions have."""
+    """By the objective of `map`."""
     met = hard = 0
     for scan in [*scans("mid+sp", 5, 15, 5), *scans("dense+sp", 10, 15, 5)]:
         problem = scan.problem()
@@ -49,19 +49,6 @@ def test_map_mode_finds_the_proven_optimum_in_ambiguous_scans():
         hard += problem.d2[problem.d2 < 27.6].size > 1.5 * len(problem.z)
     assert met >= 29
     assert hard > 15
-
-
-def test_courage_pairs_more_and_only_where_a_scan_is_ambiguous():
-    paired = {}
-    cell = scans("dense+sp", 10, 25, 6)
-    for courage in (0.0, 1.4, 4.0):
-        found = [TomThumb(courage=courage).associate(s.problem(), np.random.default_rng(1))[0] for s in cell]
-        paired[courage] = sum(int((a.match >= 0).sum()) for a in found)
-    assert paired[0.0] < paired[1.4] < paired[4.0]
-    for scan in scans("sep", 5, 10, 6):
-        one, two = (TomThumb(courage=c).associate(scan.problem(), np.random.default_rng(1))[0] for c in (0.0, 4.0))
-        assert np.array_equal(one.match, two.match)
-        assert np.allclose(one.confidence, two.confidence)
 
 
 def test_the_bayes_decision_is_the_best_expectation_over_every_hypothesis():
