@@ -33,21 +33,28 @@ def test_the_box_bounds_the_density_where_no_detection_is_foretold():
         assert np.allclose(own_gains(z, np.full(10, told), z, UNKNOWN, False), -np.log(held))
 
 
-def test_more_false_ones_than_there_is_room_for_are_thinner_or_among_the_landmarks():
-    """40 told in the unit square, room for 2: half of 2 everywhere, half of what fits into the landmarks' box."""
+def test_false_ones_are_not_expected_beside_the_landmarks_where_there_are_too_few():
+    """10 told in the unit square, 8 detections expected, 10 seen: 8 too many. In the landmarks' box .6 of them: none too many."""
     rng = np.random.default_rng(3)
     z, expected = square(rng, 10), square(rng, 10, side=0.2)
     side = 0.2 * 11 / 9  # of what ten points come from, by the box they fill
-    rates = np.exp(-own_gains(z, np.full(10, 40.0), expected, odds(10, 0.8), False))
+    rates = np.exp(-own_gains(z, np.full(10, 10.0), expected, odds(10, 0.8), False))
     inside = (np.abs(z - 0.1) <= side / 2).all(1)
     assert 0 < inside.sum() < 10
-    assert np.allclose(rates[~inside], 0.5 * 2.0)
-    assert np.allclose(rates[inside], 0.5 * (2.0 + min(2.0 / side**2, 40.0)))
+    assert np.allclose(rates[inside], 10.0)
+    assert np.allclose(rates[~inside], 10.0 * np.exp(-0.5 * 8.0**2 / (10.0 + 8 * 0.2)))
 
 
-def test_predictions_that_cannot_all_be_in_view_leave_the_bound_alone():
+def test_more_observations_than_expected_leave_the_density_alone():
+    """Most of the scan is new: three landmarks in a corner do not tell where false ones are."""
+    rng = np.random.default_rng(8)
+    z, expected = square(rng, 12), square(rng, 3, side=0.2)
+    assert np.allclose(own_gains(z, np.full(12, 5.0), expected, odds(3, 0.8), False), -np.log(5.0))
+
+
+def test_predictions_that_cannot_all_be_in_view_leave_the_density_alone():
     z = square(np.random.default_rng(4), 10)
-    everywhere = square(np.random.default_rng(5), 200, side=5.0)
+    everywhere = square(np.random.default_rng(5), 200, side=5.0, at=-2.0)
     assert np.allclose(own_gains(z, np.full(10, 7.0), everywhere, odds(200, 0.9), False), -np.log(7.0))
 
 

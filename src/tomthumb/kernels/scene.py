@@ -29,26 +29,27 @@ def log_odds(n: int, visible: Array, exist: Array) -> Array:
 
 @jit
 def own_gains(z: Array, clutter: Array, z_hat: Array, odds: Array, bearing: bool) -> Array:
-    """-log lambda0 of each observation (m,): `clutter` (m,) as told, thinned where it contradicts the scan.
+    """-log lambda0 of each observation (m,): `clutter` (m,) as told, and less where the scan speaks against it.
 
-    False ones cannot be denser than all m over the box that they fill. And where as many as told over that box would be
-    more than m and the detections to be expected leave room for (odds (n,) of each prediction, of size 0: not known),
-    they are thinner everywhere or, at even odds, as told where landmarks are expected and nowhere else.
+    False ones cannot be denser than all m over the box that they fill. And where they are to be expected all over that box,
+    or only where landmarks are (odds (n,) of each prediction, of size 0: not known), is weighed by how many there are: the
+    box of the predictions (n, 2) may be far smaller, under a pose that is uncertain by more than the view is deep.
     """
     m, n, sides = z.shape[0], z_hat.shape[0], _box(z, bearing)[1]
     area, rates = sides[0] * sides[1], clutter.copy()
-    told, room = clutter.sum() / max(m, 1) * area, _room(m, odds)
-    if m >= 4 and n >= 2 and odds.size and told > room:
+    if m >= 4 and n >= 2 and odds.size:
         corner, view = _box(z_hat, bearing)
         centre, view = corner + 0.5 * view, view * (n + 1.0) / (n - 1.0)  # n points fill so much less than their box
-        there = min(1.0, room / told * area / max(view[0] * view[1], 1e-300))
+        told = clutter.sum() / m
+        there = min(_excess(m, told * area, odds) - _excess(m, told * view[0] * view[1], odds), 700.0)
         for i in range(m):
             x, y = z[i, 0] - centre[0], z[i, 1] - centre[1]
             if bearing:
                 y = (y + math.pi) % (2.0 * math.pi) - math.pi
-            inside = abs(x) <= 0.5 * view[0] and abs(y) <= 0.5 * view[1]
-            rates[i] *= 0.5 * (room / told + (there if inside else 0.0))
-    elif m >= 4 and area > 0.0:
+            outside = abs(x) > 0.5 * view[0] or abs(y) > 0.5 * view[1]
+            if outside and view[0] * view[1] < area and there > 0.0:
+                rates[i] *= math.exp(-there)
+    if m >= 4 and area > 0.0:
         rates = np.minimum(rates, m / area)
     return -np.log(rates)
 
@@ -67,17 +68,14 @@ def _box(z: Array, bearing: bool) -> tuple[Array, Array]:
 
 
 @jit
-def _room(m: int, odds: Array) -> float:
-    """How many of m observations are false beside the detections to be expected, at least one.
-
-    Infinite where many more are expected than were made: then not all of the predictions can be in view.
-    """
-    expected, variance = 0.0, 0.0
+def _excess(m: int, false: float, odds: Array) -> float:
+    """What m observations say against `false` expected beside the detections, nats; 0 where they are no fewer."""
+    expected, variance = false, false
     for j in range(odds.shape[0]):
         chance = 1.0 / (1.0 + math.exp(-odds[j]))
         expected += chance
         variance += chance * (1.0 - chance)
-    return max(m - expected, 1.0) if m - expected > -2.0 * math.sqrt(variance) else math.inf
+    return 0.5 * max(expected - m, 0.0) ** 2 / variance
 
 
 @jit
