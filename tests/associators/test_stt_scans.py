@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.tom_thumb import TomThumb
-from tomthumb.associators.tom_thumb.scene import base_gains, cartesian, lever, rigid
+from tomthumb.associators.tom_thumb.scene import base_gains, cartesian, lever, rigid, window
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
@@ -79,3 +80,27 @@ def test_far_points_with_a_coarse_bearing_are_not_lost():
     found = [TomThumb().associate(s.problem(), np.random.default_rng(0))[0] for s in cell]
     right = [float((a.match == s.truth).mean()) for a, s in zip(found, cell, strict=True)]
     assert np.mean(right) >= 0.998
+
+
+def test_small_scans_are_decided_as_by_every_hypothesis():
+    """Listing ends at 6 nats, what it is held against at 12: few scans of 5 may differ, and none in what it claims."""
+    same = listed = 0
+    cell = [*scans("mid+sp", 5, 25, 9), *scans("dense+sp", 5, 25, 9)]
+    for scan in cell:
+        found = TomThumb().associate(scan.problem(), np.random.default_rng(1))[0]
+        match, whole = bayes(scan.problem(), 12.0)
+        listed += found.info["proof"] == "optimal"
+        same += whole and np.array_equal(found.match, match)
+        slow = TomThumb(listed=0.0).associate(scan.problem(), np.random.default_rng(1))[0]
+        assert np.allclose(found.confidence.mean(), slow.confidence.mean(), atol=0.2)
+    assert listed >= 45
+    assert same >= 48
+
+
+def test_a_pose_that_is_not_well_known_is_not_linearised():
+    """The same scan, its pose uncertain by ten times as much: the hypotheses are those of poses, not of a listing."""
+    scan = scans("mid+sp", 5, 1, 9)[0]
+    wide = replace(scan.predictions, pose_cov=100.0 * scan.predictions.pose_cov, cov=100.0 * scan.predictions.cov)
+    for predictions, linear in ((scan.predictions, True), (wide, False)):
+        problem = replace(scan, predictions=predictions).problem()
+        assert TomThumb()._may_be_listed(problem, window(problem.d2, 0.999)) == linear
