@@ -3,9 +3,9 @@
     python benchmarks/bayes_limit.py --count 200 --seed 14
 
 All hypotheses within `--slack` nats of the best are listed by branch and bound (`map` with a large pool), with the
-density of false observations that STT takes and the true chance of detection. Each weighs by its posterior, the sums over them are the
-probabilities of the pairings, and the assignment that maximises the expected number of right decisions is the Bayes
-decision: of the methods that know no more than these densities none is better on average. Nothing is left to a search.
+density of false observations that STT takes and the true chance of detection. Each weighs by its posterior, the sums
+over them are the probabilities of the pairings, and the assignment that maximises the expected number of right decisions
+is the Bayes decision: of the methods that know no more than these densities none is better on average. Nothing is left to a search.
 """
 
 from __future__ import annotations
