@@ -13,11 +13,12 @@ from tomthumb.branches import Branch
 from tomthumb.errors import Diverged
 from tomthumb.lifecycle import Life
 from tomthumb.metrics.evaluation import evaluate
+from tomthumb.renaming import _followed, _once
 from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
-from tomthumb.scout import Place, Scouting, _followed, _once, _twins, sent_out
+from tomthumb.scout import Place, Scouting, _contradict, _twins, sent_out
 from tomthumb.types import Control, Observations, Scenario, Step
 
 LOOPS = {"slam": {"loops": True}}
@@ -178,3 +179,31 @@ def test_scans_that_are_empty_and_other_filters_are_taken_as_they_come():
 def test_nobody_goes_along_with_the_oracle():
     assert prepare(ring(0), associator="oracle", settings=LOOPS).court.scouting is None
     assert sent_out(prepare(ring(0)), Scouting()).loop.court.king is None
+
+
+def test_names_with_which_the_trail_tears_are_not_taken():
+    slam = prepare(ring(1, scale=1.0, turn=0.0), associator="nn", settings=LOOPS)
+    records = list(slam.stream(ring(1, scale=1.0, turn=0.0).steps))
+    lives, names = slam.branches[0].ledger, [r.ids for r in records]
+    diary = slam.court.scout.diary
+    retraced(slam, diary, names, lives, tear=20.0)
+    early, late = names[40][names[40] >= 0][0], names[150]
+    late[np.flatnonzero(late >= 0)[0]] = early  # one wrong name, from the other end of the ring
+    with pytest.raises(Diverged, match="tears"):
+        retraced(slam, diary, names, lives, tear=20.0)
+
+
+def test_two_stretches_laid_on_one_contradict_each_other():
+    assert _contradict({70: 0, 71: 1, 72: 2}, {70: 3, 71: 4, 73: 9})  # one stretch of his, two of the old map
+    assert _contradict({70: 0, 71: 1, 72: 2}, {80: 0, 81: 1, 83: 9})  # and the other way round
+    assert not _contradict({70: 0, 71: 1, 72: 2}, {80: 3, 81: 4, 82: 5})  # a map that is torn
+    assert not _contradict({70: 0, 71: 1, 72: 2}, {70: 0, 71: 1, 82: 5})
+
+
+@pytest.mark.parametrize("window", [300, 400])
+def test_a_memory_longer_than_the_loop_finds_it_by_its_newer_part(window):
+    scenario = ring(0)
+    slam = prepare(scenario, associator="nn")
+    slam.court.scouting = Scouting(window=window, sizes=5)
+    row = evaluate(collect("ring", slam, list(slam.stream(scenario.steps))), scenario)
+    assert row["idf1"] > 0.95

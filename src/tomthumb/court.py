@@ -17,8 +17,9 @@ from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
 from tomthumb.lifecycle import inherit
 from tomthumb.protocols import Estimator, Rng
+from tomthumb.renaming import put_right
 from tomthumb.revision import Moment
-from tomthumb.scout import Scout, Scouting, go_along, look, put_right, sent_out, take_notes
+from tomthumb.scout import Scout, Scouting, go_along, look, sent_out, take_notes
 from tomthumb.types import Array, Estimate, Ids, Mask
 from tomthumb.watch import Consistency, Watch
 
@@ -69,15 +70,14 @@ class Court:
         take_notes(self.scout, scan)
         if slam.scan % self.scout.rules.every or slam.index < slam.teach_steps:
             return {}
-        found = look(self.scout, slam)
-        if found is None:
-            return {}
-        try:
-            slam.branches = [put_right(self.scout, slam, found)]
-        except Diverged:
-            return {}  # no filter survives these names: they were wrong
-        self.watch = Watch(since=slam.scan)
-        return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
+        for found in look(self.scout, slam):
+            try:
+                slam.branches = [put_right(self.scout, slam, found)]
+            except Diverged:
+                continue  # no filter survives these names: they were wrong
+            self.watch = Watch(since=slam.scan)
+            return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
+        return {}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
         if self.king is None or slam.index < slam.teach_steps:

@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
+from tomthumb.errors import Diverged
 from tomthumb.graves import Graveyard
 from tomthumb.lifecycle import Life
 from tomthumb.types import Array, Control, Ids
+from tomthumb.watch import Consistency
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -48,12 +50,15 @@ def begun(slam: Slam) -> Diary:
     return Diary(slam.estimator.fork(slam.branches[0].belief), slam.t, slam.last_control)
 
 
-def retraced(slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int, Life]) -> Branch:
+def retraced(
+    slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int, Life], tear: float = math.inf
+) -> Branch:
     """The best branch after all entries of the diary with each entry's `names`; `lives` are the landmarks it will hold.
 
-    Landmarks are founded as stones when they are first named; names without a life are passed over.
+    Landmarks are founded as stones when they are first named; names without a life are passed over. Raises Diverged if the
+    filter does not survive the names, or if the NIS of ten scans is `tear` standard deviations above what it should be.
     """
-    belief, poses = _filtered(slam, diary, names, set(lives))
+    belief, poses = _filtered(slam, diary, names, set(lives), tear)
     best = slam.branches[0]
     held = set(slam.estimator.estimate(belief).ids.tolist())
     ledger = {i: life for i, life in lives.items() if i in held}
@@ -78,7 +83,7 @@ def _rewritten(history: Any, names: Sequence[Ids], poses: Sequence[Array]) -> An
     return history
 
 
-def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int]) -> tuple[Any, list[Array]]:
+def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], tear: float) -> tuple[Any, list[Array]]:
     """The belief at the end, and the pose (3,) after each entry."""
     walker = copy.copy(slam)
     branch = Branch(slam.estimator.fork(diary.start), {})
@@ -86,24 +91,29 @@ def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int]) ->
     held = set(slam.estimator.estimate(branch.belief).ids.tolist())
     if held - kept:
         branch.belief = slam.estimator.forget(branch.belief, np.array(sorted(held - kept), np.int64))
-    poses = []
+    poses, consistency = [], Consistency()
     for entry, ids in zip(diary.entries, names, strict=True):
         walker.predict(branch, entry.t, entry.control)
         walker.t = entry.t
         if entry.scan is not None and len(entry.scan):
-            _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(kept)), ids, -1), held)
+            nis, dof = _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(kept)), ids, -1), held)
+            consistency.record(nis, dof)
+            if consistency.excess > tear:
+                raise Diverged(f"the trail tears at {entry.t} s: it cannot be gone over with these names")
         poses.append(slam.estimator.pose(branch.belief)[0])
     return branch.belief, poses
 
 
-def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int]) -> None:
-    """One scan: known landmarks move the pose, new ones are founded and believed."""
+def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int]) -> tuple[float, int]:
+    """One scan: known landmarks move the pose, new ones are founded and believed. NIS and degrees of freedom."""
     estimator, rng = walker.estimator, walker.rng_estimator
     known = np.isin(ids, list(held))
     particles = len(estimator.expect(branch.belief))
     branch.belief = estimator.update(branch.belief, scan.news, [np.where(known, ids, -1)] * particles, rng)
+    stats = estimator.stats(branch.belief) if known.any() else {}
     fresh = np.where(known, -1, ids)
     if (fresh >= 0).any():
         branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * particles, rng)
         branch.belief = estimator.promote(branch.belief, fresh[fresh >= 0])
         held.update(fresh[fresh >= 0].tolist())
+    return float(stats.get("nis", 0.0)), int(stats.get("dof", 0))

@@ -7,13 +7,14 @@ and is laid on the old map as a constellation, within the drift that odometry ma
     missed loop          one place explains the scout's map, and the family has named what is there otherwise
     the same place twice two places near each other explain it, and what stands on them was never seen together
 
-Either way the trail is gone over again (`retrace`) with the scout's names.
+Either way the trail is gone over again (`retrace`) with the scout's names, and they are believed if it does not tear.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +23,9 @@ from tomthumb.constellation import Fit, Within, fits
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, inverse, wrap_angle
 from tomthumb.king import Exile, King, judged, thinned
-from tomthumb.lifecycle import Ledger, copy_ledger, inherit
-from tomthumb.retrace import Diary, Entry, begun, retraced
+from tomthumb.retrace import Diary, Entry, begun
 from tomthumb.revision import Moment, twin_of
-from tomthumb.types import Array, Estimate, Ids, Mask
+from tomthumb.types import Array, Estimate, Ids
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -40,20 +40,22 @@ STRANGERS = 0.2  # share of twins that may have been seen together, by wrong nam
 @dataclass(frozen=True, slots=True)
 class Scouting:
     """window: scans that the scout remembers; he looks at what he saw in them, in the newer half, quarter, ...: `sizes` in
-    all. every: scans between two looks. drift: m per m of path, rad per m: what odometry may have gathered. sure: nats
-    that a place must explain: a thousand places within the drift, a thousand looks, a risk of one in a hundred. lead:
-    nats before any other place. votes: landmarks at least. poses: of the trail, from which old landmarks would have
-    been seen.
+    all. every: scans between two looks, no more than he looks back at least. drift: m per m of path, rad per m: what
+    odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand looks,
+    a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the trail, from
+    which old landmarks would have been seen. tear: what was found is not believed if the filter, gone over the trail with
+    it, is surprised in any ten scans by so many standard deviations of NIS.
     """
 
     window: int = 200
     sizes: int = 4
-    every: int = 10
+    every: int = 20
     drift: tuple[float, float] = (0.05, 0.005)
     sure: float = 20.0
     lead: float = 10.0
     votes: int = 8
     poses: int = 12
+    tear: float = 40.0
 
     @property
     def windows(self) -> tuple[int, ...]:
@@ -80,10 +82,9 @@ class Scout:
         """The scout's map and what he calls its landmarks."""
         return self.loop.branches[0]
 
-    @property
-    def since(self) -> int:
-        """The scan after which all that he remembers was seen, and founded if the family knows it from then only."""
-        return max(self.loop.scan - 1 - self.rules.window, self.sent - 1)
+    def since(self, window: int) -> int:
+        """The scan before the last `window` scans of his: what the family founded until then is old beside them."""
+        return max(self.loop.scan - 1 - window, self.sent - 1)
 
     def walked(self, scan: int) -> float:
         """m of path since that scan."""
@@ -92,11 +93,14 @@ class Scout:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one."""
+    """What the scout says: `named` is which of his landmarks is which old one, `same` which old one is another old one; old
+    is what was founded until the scan `since`.
+    """
 
     votes: int
     named: dict[int, int]
     same: dict[int, int]
+    since: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,33 +162,47 @@ def _forget(scout: Scout) -> None:
 # --- looking ------------------------------------------------------------------------------------------------------------
 
 
-def look(scout: Scout, slam: Slam) -> Found | None:
-    """What the scout has to say about the family's names, if he is sure: by all that he remembers, or the newest of it."""
-    here, away = scout.loop.estimator.estimate(scout.branch.belief), _old_map(scout, slam)
+def look(scout: Scout, slam: Slam) -> Iterator[Found]:
+    """What the scout has to say about the family's names, if he is sure: by all that is not old, or the newest of it."""
+    here, whole = (loop.estimator.estimate(loop.branches[0].belief) for loop in (scout.loop, slam))
     seen = np.array([scout.branch.ledger[i].seen for i in here.ids.tolist()], np.int64)
-    for window in scout.rules.windows:
-        since = scout.loop.scan - 1 - window
-        away.trail = thinned([pose for _, pose in _lately(scout, since)][::-1], scout.rules.poses)
-        found = _wrong(scout, slam, here.only(here.stone & (seen > since)), away)
+    beside = _beside(scout, slam, whole)
+    if beside is None:
+        return
+    windows, since, away = beside
+    for window in windows:
+        last = scout.since(window)
+        away.trail = thinned([pose for _, pose in lately(scout, last)][::-1], scout.rules.poses)
+        found = _wrong(scout, slam, here.only(here.stone & (seen > last)), away, since)
         if found is not None:
-            return found
+            yield found
+
+
+def _beside(scout: Scout, slam: Slam, whole: Estimate) -> tuple[tuple[int, ...], int, Exile] | None:
+    """The old map, the scan until which it is old, and the scout's windows from the longest that leaves enough of it."""
+    windows = scout.rules.windows
+    for k, window in enumerate(windows):
+        since = scout.since(window)
+        away = _old_map(scout, slam, whole, since)
+        if len(away.old.ids) >= scout.rules.votes:
+            return windows[k:], since, away
     return None
 
 
-def _wrong(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | None:
+def _wrong(scout: Scout, slam: Slam, mine: Estimate, away: Exile, since: int) -> Found | None:
     """The places of what the scout has mapped, if the family is wrong about one of them."""
-    found, wrong = Found(0, {}, {}), False
+    found, wrong = Found(0, {}, {}, since), False
     for _ in range(PARTS):
-        place = _place(scout, slam, mine, away)
+        place = _place(scout, slam, mine, away, since)
         if place is None:
             break
-        wrong |= bool(place.same) or _agreement(scout, slam, place.named) < 0.5
+        wrong |= bool(place.same) or _agreement(scout, slam, place.named, since) < 0.5
         mine = mine.only(~np.isin(mine.ids, list(place.named)))
-        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same)
+        found = Found(found.votes + place.votes, found.named | place.named, found.same | place.same, since)
     return found if wrong else None
 
 
-def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | None:
+def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile, since: int) -> Found | None:
     """The place in the old map of what the scout has mapped, if there is one and no rival."""
     places = _places(scout, slam, mine, away)
 
@@ -198,7 +216,7 @@ def _place(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> Found | Non
     same: dict[int, int] = {}
     for place in good[1:]:
         same |= {} if rivalled(place) else _twins(slam, good[0], place)
-    return Found(len(good[0].says), good[0].says, same)
+    return Found(len(good[0].says), good[0].says, same, since)
 
 
 def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place]:
@@ -221,15 +239,18 @@ def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place
 
 
 def _contradict(says: dict[int, int], also: dict[int, int]) -> bool:
-    """Two places for the same landmarks; places for different landmarks are parts of a map that is torn."""
+    """Two places for the same landmarks, of the one map or of the other; else they are parts of a map that is torn."""
+    return _differ(says, also) or _differ({j: i for i, j in says.items()}, {j: i for i, j in also.items()})
+
+
+def _differ(says: dict[int, int], also: dict[int, int]) -> bool:
     other = sum(says[i] != also[i] for i in says.keys() & also.keys())
     return 2 * other > min(len(says), len(also))
 
 
-def _old_map(scout: Scout, slam: Slam) -> Exile:
-    """The family's stones from before the scout's time, as far as drift may have brought them near."""
-    home, since = slam.branches[0], scout.since
-    whole = slam.estimator.estimate(home.belief)
+def _old_map(scout: Scout, slam: Slam, whole: Estimate, since: int) -> Exile:
+    """The family's stones founded until scan `since`, as far as drift may have brought them near."""
+    home = slam.branches[0]
     lives = [home.ledger[i] for i in whole.ids.tolist()]
     walked = np.array([scout.walked(life.seen) for life in lives])
     drift = np.maximum(scout.rules.drift[0] * walked, 5.0 * np.sqrt(np.trace(whole.pose_cov[:2, :2])))
@@ -282,19 +303,19 @@ def _twins(slam: Slam, best: Place, other: Place) -> dict[int, int]:
     }
 
 
-def _agreement(scout: Scout, slam: Slam, says: dict[int, int]) -> float:
+def _agreement(scout: Scout, slam: Slam, says: dict[int, int], since: int) -> float:
     """Share of the last sightings of the scout's landmarks `says` that the family has named as he does."""
-    his = [ids for ids, _ in _lately(scout, scout.since)]
+    his = [ids for ids, _ in lately(scout, since)]
     named = [
         (x, says[y])
-        for ours, ids in zip(_names(slam.branches[0], len(his)), his, strict=True)
+        for ours, ids in zip(names_of(slam.branches[0], len(his)), his, strict=True)
         for x, y in zip(ours.tolist(), ids.tolist(), strict=True)
         if y in says
     ]
     return float(sum(x == y for x, y in named) / max(len(named), 1))
 
 
-def _lately(scout: Scout, since: int) -> list[tuple[Ids, Array]]:
+def lately(scout: Scout, since: int) -> list[tuple[Ids, Array]]:
     """The scout's names and poses in the steps after scan `since`, newest first."""
     out: list[tuple[Ids, Array]] = []
     node = scout.branch.history
@@ -304,85 +325,10 @@ def _lately(scout: Scout, since: int) -> list[tuple[Ids, Array]]:
     return out
 
 
-def _names(branch: Branch, steps: int) -> list[Ids]:
+def names_of(branch: Branch, steps: int) -> list[Ids]:
     """The family's names in this step and in those before it, newest first."""
     out, node = [branch.ids], branch.history
     while node is not None and len(out) < steps:
         node, ids, *_ = node
         out.append(ids)
     return out
-
-
-# --- what was found, made true ------------------------------------------------------------------------------------------
-
-
-def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
-    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now.
-
-    Raises Diverged if the filter does not survive them.
-    """
-    home, since = slam.branches[0], scout.since
-    into = _followed(_merged(home) | found.same)
-    mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
-    ours = _names(home, len(scout.diary.entries))
-    names = [_once(_renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
-    for k, (ids, _) in enumerate(_lately(scout, since)):
-        his = np.isin(ids, list(mine))
-        names[k] = _once(np.where(his, _renamed(_renamed(ids, found.named), into), names[k]), his)
-    lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
-    for drop in found.same:
-        if drop in lives and into[drop] in lives:
-            inherit(lives, into[drop], drop)
-    _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
-    fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
-    return retraced(slam, scout.diary, names[::-1], fresh | lives)
-
-
-def _once(ids: Ids, first: Mask) -> Ids:
-    """Names (m,) of one scan with no landmark named twice: those of `first` (m,) count before others, and one of each."""
-    out = ids.copy()
-    order = np.argsort(~first, kind="stable")
-    taken = np.unique(ids[order], return_index=True)[1]
-    out[np.setdiff1d(order, order[taken])] = -1
-    return out
-
-
-def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
-    """Sightings that have another name now count for that one."""
-    for old, new in zip(before, after, strict=True):
-        other = old != new
-        for i in set(new[other].tolist()) & lives.keys():
-            lives[i].hits, lives[i].chances, lives[i].static = (
-                lives[i].hits + 1,
-                lives[i].chances + 1,
-                lives[i].static + 1,
-            )
-            lives[i].seen = scan
-        for i in set(old[other].tolist()) & lives.keys():
-            lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
-
-
-def _merged(branch: Branch) -> dict[int, int]:
-    """What every landmark that is no more was merged into."""
-    into: dict[int, int] = {}
-    node = branch.events
-    while node is not None:
-        node, kind, one, other, _ = node
-        if kind == "merged":
-            into[one] = other
-    return into
-
-
-def _followed(into: dict[int, int]) -> dict[int, int]:
-    """Each to its end: a into b and b into c is a into c."""
-
-    def end(i: int) -> int:
-        while i in into:
-            i = into[i]
-        return i
-
-    return {i: end(i) for i in into}
-
-
-def _renamed(ids: Ids, into: dict[int, int]) -> Any:
-    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)

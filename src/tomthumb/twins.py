@@ -6,6 +6,8 @@ the filter's own reckoning, to be merged. What gives it away is that two things 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from tomthumb.lifecycle import Ledger, LifeCycle
@@ -13,7 +15,7 @@ from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Mask, Observations, Predictions
 
 CROWDED = 0.25  # of the usual distance to the next stone: nearer ones may be one
-NEVER = 7.0  # sightings of both that were to be expected: none by chance is one in a thousand (Poisson)
+NEVER = 7.0  # nats: seven sightings of both were to be expected and none was (Poisson), fewer where few stand so near
 
 
 def record_apart(
@@ -35,20 +37,23 @@ def record_apart(
     alive = predictions.stone & np.array([i in ledger for i in predictions.ids.tolist()], bool)
     due = alive & ~seen & (predictions.visible > policy.in_view * np.minimum(chance, 0.999))
     found = []
-    for a, b in _beside(predictions, alive & seen, due, scan.R.mean(0), policy.apart2):
+    for a, b, crowd in _beside(predictions, alive & seen, due, scan.R.mean(0), policy.apart2):
         i, j = int(predictions.ids[a]), int(predictions.ids[b])
         if j in ledger[i].companions:
             continue
         due_together = ledger[i].apart.get(j, 0.0) + float(chance[b]) * ledger[j].exist
         ledger[i].apart = {**ledger[i].apart, j: due_together}
         ledger[j].apart = {**ledger[j].apart, i: due_together}
-        if due_together >= NEVER:
+        if due_together - math.log(crowd) >= NEVER:
             found.append((i, j) if ledger[i].hits >= ledger[j].hits else (j, i))
     return found
 
 
-def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: float) -> list[tuple[int, int]]:
-    """Pairs of columns (seen, not seen) so near that a sighting could be of either, or far nearer than others stand."""
+def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: float) -> list[tuple[int, int, float]]:
+    """Pairs of columns (seen, not seen) so near that a sighting could be of either, or far nearer than others stand.
+
+    With each the number of others that would stand so near by chance: half of all have one at the usual distance.
+    """
     from scipy.spatial import cKDTree
 
     a, b = np.flatnonzero(hit), np.flatnonzero(missed)
@@ -61,7 +66,8 @@ def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: 
     found = []
     for k, n in np.argwhere(gap < usual):
         if gap[k, n] < CROWDED * usual or _d2(predictions, int(a[k]), int(b[n]), R) < gate2:
-            found.append((int(a[k]), int(b[n])))
+            crowd = min(1.0, max(1e-9, math.log(2.0) * float(gap[k, n] / usual) ** 2))
+            found.append((int(a[k]), int(b[n]), crowd))
     return found
 
 

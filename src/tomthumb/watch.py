@@ -77,6 +77,12 @@ class Consistency:
             self.last.append((nis, dof))
             self.verdict = self._judged()
 
+    @property
+    def excess(self) -> float:
+        """By how many standard deviations the NIS is above its mean."""
+        total, dof = sum(nis for nis, _ in self.last), sum(d for _, d in self.last)
+        return (total - dof) / math.sqrt(2.0 * dof) if dof else 0.0
+
     def _judged(self) -> str:
         total, dof = sum(nis for nis, _ in self.last), sum(d for _, d in self.last)
         p = float(chdtr(dof, total))

@@ -1,0 +1,88 @@
+"""What the scout has found, made true: the family's past as it would be, had it had his names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tomthumb.branches import Branch
+from tomthumb.lifecycle import Ledger, copy_ledger, inherit
+from tomthumb.retrace import retraced
+from tomthumb.scout import Found, Scout, lately, names_of
+from tomthumb.types import Ids, Mask
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
+
+
+def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
+    """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now.
+
+    Raises Diverged if the filter does not survive them.
+    """
+    home, since = slam.branches[0], found.since
+    into = _followed(_merged(home) | found.same)
+    mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
+    ours = names_of(home, len(scout.diary.entries))
+    names = [_once(_renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
+    for k, (ids, _) in enumerate(lately(scout, since)):
+        his = np.isin(ids, list(mine))
+        names[k] = _once(np.where(his, _renamed(_renamed(ids, found.named), into), names[k]), his)
+    lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
+    for drop in found.same:
+        if drop in lives and into[drop] in lives:
+            inherit(lives, into[drop], drop)
+    _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
+    fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
+    return retraced(slam, scout.diary, names[::-1], fresh | lives, scout.rules.tear)
+
+
+def _once(ids: Ids, first: Mask) -> Ids:
+    """Names (m,) of one scan with no landmark named twice: those of `first` (m,) count before others, and one of each."""
+    out = ids.copy()
+    order = np.argsort(~first, kind="stable")
+    taken = np.unique(ids[order], return_index=True)[1]
+    out[np.setdiff1d(order, order[taken])] = -1
+    return out
+
+
+def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
+    """Sightings that have another name now count for that one."""
+    for old, new in zip(before, after, strict=True):
+        other = old != new
+        for i in set(new[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].chances, lives[i].static = (
+                lives[i].hits + 1,
+                lives[i].chances + 1,
+                lives[i].static + 1,
+            )
+            lives[i].seen = scan
+        for i in set(old[other].tolist()) & lives.keys():
+            lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
+
+
+def _merged(branch: Branch) -> dict[int, int]:
+    """What every landmark that is no more was merged into."""
+    into: dict[int, int] = {}
+    node = branch.events
+    while node is not None:
+        node, kind, one, other, _ = node
+        if kind == "merged":
+            into[one] = other
+    return into
+
+
+def _followed(into: dict[int, int]) -> dict[int, int]:
+    """Each to its end: a into b and b into c is a into c."""
+
+    def end(i: int) -> int:
+        while i in into:
+            i = into[i]
+        return i
+
+    return {i: end(i) for i in into}
+
+
+def _renamed(ids: Ids, into: dict[int, int]) -> Any:
+    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)
