@@ -15,6 +15,7 @@ from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Mask, Observations, Predictions
 
 CROWDED = 0.25  # of the usual distance to the next stone: nearer ones may be one
+PAIRS = 0.03  # share of landmarks beside which another stands on purpose, however near: double trunks, gate posts
 NEVER = 7.0  # nats: seven sightings of both were to be expected and none was (Poisson), fewer where few stand so near
 
 
@@ -52,7 +53,7 @@ def record_apart(
 def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: float) -> list[tuple[int, int, float]]:
     """Pairs of columns (seen, not seen) so near that a sighting could be of either, or far nearer than others stand.
 
-    With each the number of others that would stand so near by chance: half of all have one at the usual distance.
+    With each the number of others that would stand so near by chance: half of all have one at the usual distance (Poisson).
     """
     from scipy.spatial import cKDTree
 
@@ -66,7 +67,7 @@ def _beside(predictions: Predictions, hit: Mask, missed: Mask, R: Array, gate2: 
     found = []
     for k, n in np.argwhere(gap < usual):
         if gap[k, n] < CROWDED * usual or _d2(predictions, int(a[k]), int(b[n]), R) < gate2:
-            crowd = min(1.0, max(1e-9, math.log(2.0) * float(gap[k, n] / usual) ** 2))
+            crowd = min(1.0, max(PAIRS, math.log(2.0) * float(gap[k, n] / usual) ** 2))
             found.append((int(a[k]), int(b[n]), crowd))
     return found
 
