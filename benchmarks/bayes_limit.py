@@ -1,11 +1,11 @@
 """How near STT is to the best that anybody can decide: the exact posterior of every pairing, on small scans.
 
-    python benchmarks/bayes_limit.py --count 200 --seed 13
+    python benchmarks/bayes_limit.py --count 200 --seed 14
 
-All hypotheses within `--slack` nats of the best are listed by branch and bound (`map` with a large pool), with the true
-density of false observations and the true chance of detection. Each weighs by its posterior, the sums over them are the
-probabilities of the pairings, and the assignment that maximises the expected number of right decisions is the Bayes
-decision: of the methods that know no more than these densities none is better on average. Nothing is left to a search.
+All hypotheses within `--slack` nats of the best are listed by branch and bound (`map` with a large pool), with the
+density of false observations that STT takes and the true chance of detection. Each weighs by its posterior, the sums
+over them are the probabilities of the pairings, and the assignment that maximises the expected number of right decisions
+is the Bayes decision: of the methods that know no more than these densities none is better on average. Nothing is left to a search.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One scan at a time: who names it rightly, how fast, and how near the search comes to the proven optimum.
 
-    python benchmarks/single_scan.py --count 50 --write docs/single_scan.md
+    python benchmarks/single_scan.py --count 40 --write docs/single_scan.md
     python benchmarks/single_scan.py --classes wide,lost --sizes 16,32,64 --methods nn,gnn,stt,clique
     python benchmarks/single_scan.py --prefixes 500      # JCBB: how often do prefixes and whole sets differ?
 
@@ -33,6 +33,7 @@ NO_LIMIT = 2**62
 GATES = (0.95, 0.99, 0.999, 0.9999)
 SECTOR_SIZES, CLOUD_SIZES = (5, 10, 20, 50, 100), (16, 32, 64)
 BEGIN, END = "<!-- single_scan: written by benchmarks/single_scan.py -->", "<!-- end of single_scan -->"
+FEW = 16  # observations up to which a cell has `--small` problems: one scan more or less right counts for much there
 SMALL = 20  # observations of a sector up to which the searches get the larger budget
 LEVELS = np.array([0.0, 0.5, 0.85, 0.95, 0.99, 1.0 + 1e-9])  # of confidence
 
@@ -201,7 +202,7 @@ def report(args: argparse.Namespace) -> str:
     optimum, answers = ["| class | size | proven by `map` | same L |", "|---|---|---|---|"], []
     for kind in args.classes.split(","):
         for size in args.sizes or (CLOUD_SIZES if kind in CLOUD_CLASSES else SECTOR_SIZES):
-            cell = scans(kind, size, args.count, args.seed)
+            cell = scans(kind, size, args.small if size <= FEW else args.count, args.seed)
             chosen = methods(args.methods, args.exact if kind in SECTOR_CLASSES and size <= SMALL else args.nodes)
             table = {name: measure(m, cell) for name, m in chosen.items() if m[0] not in SLOW.get(kind, ())}
             tables[kind, size] = table
@@ -227,7 +228,8 @@ def page(
     answers: list[tuple[Association, Scan]],
 ) -> Iterator[str]:
     """All tables, each with its heading."""
-    yield f"Made by `python benchmarks/single_scan.py {args.told}`: {args.count} problems a cell, seed {args.seed}."
+    yield f"Made by `python benchmarks/single_scan.py {args.told}`: {args.count} problems a cell, {args.small} in those of up to"
+    yield f"{FEW} observations, seed {args.seed}."
     yield from ("", "## Right decisions, % [95 % interval]", "", *right_table(tables, names))
     yield from (
         "",
@@ -274,6 +276,7 @@ def write(path: Path, text: str) -> None:
 def main() -> None:
     cli = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     cli.add_argument("--count", type=int, default=50, help="problems in each cell")
+    cli.add_argument("--small", type=int, default=200, help=f"the same in cells of up to {FEW} observations")
     cli.add_argument("--seed", type=int, default=1)
     cli.add_argument("--classes", default=",".join(CLASSES))
     cli.add_argument("--sizes", type=lambda text: [int(v) for v in text.split(",")])
@@ -283,7 +286,9 @@ def main() -> None:
     cli.add_argument("--prefixes", type=int, help="only this, with so many problems")
     cli.add_argument("--write", type=Path, help="page with the markers that the tables stand between")
     args = cli.parse_args()
-    given = {key: getattr(args, key) for key in ("count", "seed", "classes", "sizes", "methods", "nodes", "exact")}
+    given = {
+        key: getattr(args, key) for key in ("count", "small", "seed", "classes", "sizes", "methods", "nodes", "exact")
+    }
     told = {k: ",".join(map(str, v)) if isinstance(v, list) else v for k, v in given.items() if v != cli.get_default(k)}
     args.told = " ".join(f"--{k} {v}" for k, v in {"count": args.count, **told}.items())
     with threadpool_limits(1):

@@ -6,7 +6,7 @@ it a *stone*; too few hits for its opportunities end it. The existence of a land
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,8 @@ class LifeCycle:
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
     gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
-    `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain.
+    `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
+    places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
@@ -40,6 +41,7 @@ class LifeCycle:
     purge: float = 0.35
     trial: int = 8
     proof: int = 3
+    chance: float = 0.1
     in_view: float = 0.9
     merge: bool = True
     reference: bool = False
@@ -69,7 +71,8 @@ class Life:
 
     `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
     returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
-    point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan.
+    point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan. visits: last scans
+    of earlier stays there.
     """
 
     seen: int
@@ -83,6 +86,7 @@ class Life:
     returned: int | None = None
     place: tuple[Array, Array] | None = None
     apart: dict[int, float] = field(default_factory=dict)
+    visits: tuple[int, ...] = ()
 
     @property
     def exist(self) -> float:
@@ -162,37 +166,66 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
     if policy.reference:
         return np.empty(0, np.int64)
     gone = [i for i in stones if _gone(ledger, i, policy)]
-    gone += [i for i in crumbs if ledger[i].exist < policy.purge or scan - ledger[i].seen > policy.patience]
+    gone += [i for i in crumbs if _faded(ledger[i], scan, policy)]
     return np.array(gone, np.int64)
 
 
+def _faded(life: Life, scan: int, policy: LifeCycle) -> bool:
+    """A crumb seen too seldom, unless it is proven; or not seen for too long."""
+    return (life.exist < policy.purge and not _proven(life, policy)) or scan - life.seen > policy.patience
+
+
+def _proven(life: Life, policy: LifeCycle) -> bool:
+    """It came back from an absence, and was confirmed anew: it is only hidden, for what passes by does not come back."""
+    return life.returned is not None and life.returned >= policy.proof
+
+
 def _gone(ledger: Ledger, i: int, policy: LifeCycle) -> bool:
-    """A stone seen too seldom. One that came back from an absence and was confirmed anew is only hidden, for what passes
-    by does not come back; unless it is the lesser of two beside each other that are never seen together.
+    """A stone seen too seldom. One that is proven stays, unless it is the lesser of two beside each other that are never
+    seen together.
     """
     life = ledger[i]
     if life.chances < policy.trial or life.exist >= policy.purge:
         return False
-    proven = life.returned is not None and life.returned >= policy.proof
-    return not proven or any(j in ledger and _lesser(ledger, i, j) for j in life.apart)
+    return not _proven(life, policy) or any(j in ledger and _lesser(ledger, i, j) for j in life.apart)
 
 
 def _lesser(ledger: Ledger, i: int, j: int) -> bool:
     return j not in ledger[i].companions and (ledger[i].hits, j) < (ledger[j].hits, i)
 
 
+def bequeath(ledger: Ledger, gone: Ids) -> None:
+    """What is proven and ends as the lesser of two that are one thing leaves that proof to the other."""
+    for i in gone.tolist():
+        for j in ledger[i].apart:
+            if j in ledger and _lesser(ledger, i, j) and ledger[i].returned is not None:
+                ledger[j].returned = max(ledger[j].returned or 0, ledger[i].returned or 0)
+
+
 def graves(ledger: Ledger, gone: Ids) -> list[Grave]:
     """What is remembered of landmarks that are given up."""
     lives = [ledger[i] for i in gone.tolist()]
-    return [Grave(*life.place, life.static, life.returned or 0) for life in lives if life.place is not None]
+    return [
+        Grave(*life.place, life.static, life.returned or 0, (*life.visits, life.seen))
+        for life in lives
+        if life.place is not None
+    ]
 
 
-def risen(life: Life, grave: Grave, policy: LifeCycle) -> Life:
-    """A new landmark at a grave: it has come back. Two single sightings may be clutter both, so the first one never counts
-    towards confirmation, and `few` new ones are needed.
+def risen(life: Life, there: Sequence[Grave], by_chance: float, policy: LifeCycle) -> Life:
+    """A new landmark at graves, oldest first: it has come back. Two single sightings may be clutter both, so the first one of
+    each does not count towards confirmation, and `few` new ones are needed; unless so many visits cannot be chance.
+
+    `by_chance`: places of as many visits that are to be expected in the whole map.
     """
-    static = life.static + min(grave.static - 1, max(policy.hits - policy.few, 0))
-    return replace(life, static=static, returned=life.static + grave.returned)
+    if not there:
+        return life
+    since = there[0].returned + sum(grave.returned or grave.static for grave in there[1:])
+    static = min(sum(grave.static - 1 for grave in there), max(policy.hits - policy.few, 0))
+    if by_chance < policy.chance:
+        static = max(static, 1 + since)
+    visits = tuple(sorted(scan for grave in there for scan in grave.visits))
+    return replace(life, static=life.static + static, returned=life.static + since, visits=visits)
 
 
 def inherit(ledger: Ledger, keep: int, drop: int) -> None:

@@ -108,8 +108,8 @@ def area_in_view(sensor: Sensor) -> float:
 def news(seen: Observations, memory: tuple[float, float], moved: float) -> Observations:
     """The scan with its noise raised to what it adds: errors that repeat over `memory` m are not averaged away.
 
-    `moved`: m since the last scan. N scans within a correlation length hold the news of path / (2 length) independent
-    ones (AR(1) noise).
+    `moved`: m since the last scan. Many scans over a path hold the news of path / memory independent ones; `memory` is the
+    area under the falling correlation of the errors (`benchmarks/repetition.py`).
     """
     if not any(memory) or not math.isfinite(moved):
         return seen

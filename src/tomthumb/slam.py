@@ -317,6 +317,7 @@ class Slam:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
         gone = lifecycle.deaths(branch.ledger, expected, branch.crumbs, self.scan, self.policy)
         if len(gone):
+            lifecycle.bequeath(branch.ledger, gone)
             branch.graves = branch.graves.and_buried(lifecycle.graves(branch.ledger, gone))
             branch.belief = self.estimator.forget(branch.belief, gone)
             branch.crumbs.difference_update(gone.tolist())

@@ -75,7 +75,7 @@ def test_the_runner_writes_its_tables_between_the_markers(tmp_path):
     page.write_text(
         "before\n<!-- single_scan: written by benchmarks/single_scan.py -->\nold\n<!-- end of single_scan -->\nafter\n"
     )
-    settings = "--count 3 --classes sep,mid --sizes 4 --methods nn,jcbb,map,stt"
+    settings = "--count 3 --small 3 --classes sep,mid --sizes 4 --methods nn,jcbb,map,stt"
     ran = subprocess.run(
         [sys.executable, "single_scan.py", *settings.split(), "--write", str(page)],
         cwd=BENCHMARKS,

@@ -79,6 +79,47 @@ def test_the_pool_holds_all_hypotheses_within_the_slack():
     assert fullest > 8
 
 
+def test_listed_hypotheses_add_up_to_the_marginals_of_all():
+    for problem, base, table, dense in problems(12, 60, most=4):
+        near = window(problem.d2, WIDE)
+        args = (*arrays(problem, base), near.start, near.columns, 27.6)
+        weights = np.exp(dense - dense.max())
+        weights /= weights.sum()
+        whole, p, none, best, value, _ = posterior.listed(*args, 60.0, 10**6, len(dense) + 1)
+        assert whole
+        assert value == pytest.approx(dense.max(), abs=1e-8)
+        assert dense[np.flatnonzero((table.matches == best).all(1))[0]] == pytest.approx(value, abs=1e-8)
+        assert np.allclose(none, weights @ (table.matches < 0), atol=1e-9)
+        for j in range(problem.shape[1]):
+            assert np.allclose(p[:, j], weights @ (table.matches == j), atol=1e-9)
+        if np.isfinite(dense).sum() > 2:
+            assert not posterior.listed(*args, 60.0, 10**6, 2)[0]
+            assert not posterior.listed(*args, 60.0, 1, len(dense) + 1)[0]
+
+
+@pytest.mark.parametrize(
+    ("polar", "r", "turn", "side"), [(True, 5.0, 0.01, 0.3), (True, 2.0, 0.01, 0.5), (False, 8.0, 0.2, 0.0)]
+)
+def test_what_linearising_leaves_out_is_what_large_motions_show(polar, r, turn, side):
+    """The second order of a prediction under drawn motions, against its closed form."""
+    rng = np.random.default_rng(13)
+    motions = rng.standard_normal((200_000, 3)) * [side, side, turn]
+    c, s = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+    x, y = r - motions[:, 0], -motions[:, 1]
+    moved = np.column_stack([c * x + s * y, -s * x + c * y])
+    noise = np.diag([0.1**2, 0.02**2])[None]
+    if polar:
+        errors = np.column_stack([np.hypot(*moved.T) - r + motions[:, 0], np.arctan2(y, x) + motions[:, 1] / r])
+        cov = np.diag([side**2, (side / r) ** 2 + turn**2])
+        told = posterior.bent(np.array([[r, 0.0]]), cov, noise, turn**2, True)
+        seen = np.abs(errors).mean(0) / [0.1, 0.02]
+    else:
+        errors = moved[:, :1] - r
+        told = posterior.bent(np.array([[r, 0.0]]), np.zeros((2, 2)), noise, turn**2, False)
+        seen = np.abs(errors).mean(0) / 0.02
+    assert seen.max() / 2.0 < told < 3.0 * seen.max()
+
+
 def test_with_a_joint_test_it_is_the_maximum_of_those_that_pass():
     from scipy.special import chdtri
 

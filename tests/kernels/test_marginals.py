@@ -7,7 +7,7 @@ from scipy.optimize import linear_sum_assignment
 
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.tom_thumb.basins import Basin, at_pose
-from tomthumb.associators.tom_thumb.decision import most_probable, sampled_marginals, soberly
+from tomthumb.associators.tom_thumb.decision import most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import base_gains, rigid, window
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains
@@ -72,15 +72,3 @@ def test_a_pairing_less_probable_than_the_level_is_left_unpaired():
     p, none = np.array([[0.6, 0.1], [0.1, 0.8]]), np.array([0.3, 0.1])
     assert most_probable(p, none, 0.0)[0].tolist() == [0, 1]
     assert most_probable(p, none, 0.7)[0].tolist() == [-1, 1]
-
-
-def test_confidence_is_told_without_the_courage_of_the_decision():
-    """One observation, two landmarks: weights of the pairings raised by exp(bold) and taken back are the plain ones."""
-    weights, bold = np.array([3.0, 0.5]), 1.4
-    raised = np.exp(bold) * weights
-    none, plain = 1.0 / (1.0 + raised.sum()), 1.0 / (1.0 + weights.sum())
-    p = raised * none
-    for j in (0, 1, -1):
-        chance = np.array([p[j] if j >= 0 else none])
-        told = soberly(np.array([j]), chance, np.array([none]), bold)
-        assert np.isclose(told[0], plain * (weights[j] if j >= 0 else 1.0))

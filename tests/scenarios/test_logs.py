@@ -135,9 +135,25 @@ def test_mrclam(data, robot, sightings):
     assert len(scenario.true_ids()) == sightings
     assert scenario.landmarks.shape == (15, 2)
     assert scenario.steps[-1].t - scenario.steps[0].t == pytest.approx(15 * 60, abs=60)
-    spread = 1.4826 * np.median(np.abs(residuals(scenario)), axis=0)
-    assert 0.06 < spread[0] < 0.2
-    assert math.radians(0.25) < spread[1] < math.radians(1.2)
+    away = residuals(scenario)
+    rms = np.sqrt(np.mean(away[np.abs(away[:, 0]) < 0.5] ** 2, axis=0))
+    assert 0.03 < rms[0] < 0.08
+    assert np.median(np.abs(away[:, 1])) < math.radians(1.0)
+
+
+@pytest.mark.parametrize("robot", [1, 2, 3, 4, 5])
+def test_mrclam_tells_depth_along_the_axis_not_range(data, robot):
+    """What the number taken for a range lacks grows with r (1 - cos bearing); of a depth's range nothing is left of that."""
+
+    def share(depth):
+        scenario = load(f"mrclam:{data('utias_mrclam')}?robot={robot}&depth={depth}")
+        away, z = residuals(scenario), np.concatenate([s.observations.z for s in scenario.steps if s.observations])
+        near = np.abs(away[:, 0]) < 0.5
+        lost = (z[:, 0] * (1.0 - np.cos(z[:, 1])))[near]
+        return np.polyfit(lost, away[near, 0], 1)[0]
+
+    assert share(0) == pytest.approx(-1.0, abs=0.2)
+    assert abs(share(1.036)) < 0.2
 
 
 def test_mrclam_has_five_robots(data):
@@ -145,7 +161,9 @@ def test_mrclam_has_five_robots(data):
         load(f"mrclam:{data('utias_mrclam')}?robot=6")
 
 
-@pytest.mark.parametrize("wrong", ["speed=0", "speed=nan", "turn=-1", "delay=-1", "delay=1e9"])
+@pytest.mark.parametrize(
+    "wrong", ["speed=0", "speed=nan", "turn=-1", "delay=-1", "delay=1e9", "depth=-1", "depth=0.01", "depth=nan"]
+)
 def test_mrclam_refuses_what_cannot_be(data, wrong):
     with pytest.raises(TomThumbError, match=wrong.partition("=")[0]):
         load(f"mrclam:{data('utias_mrclam')}?{wrong}")

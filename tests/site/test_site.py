@@ -227,8 +227,8 @@ def test_browser_follows_the_link_to_a_drawn_run(out: Path, page: Any) -> None:
     page.wait_for_selector("#plots svg .first-mistake")
     assert "nn, seed" in page.inner_text("h1")
     assert "The first mistake. Step" in page.inner_text("#plots")
+    page.wait_for_function("document.querySelectorAll('#plots svg .right circle').length > 500")
     assert page.locator("#plots svg").count() == 5
-    assert page.locator("#plots svg .right circle").count() > 500
     assert page.inner_text("#command").startswith("tomthumb run cloister")
     assert page.errors == []
 

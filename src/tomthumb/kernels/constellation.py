@@ -15,6 +15,9 @@ from tomthumb.kernels.jit import jit
 
 Array = Any
 
+FINE = 6.0  # squares of the field to a cell: about half a standard deviation of a vote
+MOST = 1 << 21  # squares, about: 16 MB
+
 
 @jit
 def nearest(
@@ -36,13 +39,34 @@ def nearest(
 
 
 @jit
-def _beyond(within: Array, x: float, y: float, theta: float, co: float, si: float) -> bool:
-    """Whether a motion (x, y, theta), with its cosine and sine, lies outside `within` as `search` has it."""
-    if abs((theta - within[2] + math.pi) % (2.0 * math.pi) - math.pi) > within[4]:
-        return True
+def _field(points: Array, cell: float, low: Array, shape: Array) -> tuple[Array, float]:
+    """About the nearest point within `cell` of everywhere, -1 where there is none, in squares of the side returned.
+
+    One look instead of nine cells searched. The grid (low, shape) with a margin of one cell on all sides is covered.
+    """
+    side = max(cell / FINE, cell * math.sqrt((shape[0] + 2.0) * (shape[1] + 2.0) / MOST))
+    rows, columns = int((shape[0] + 2) * cell / side) + 1, int((shape[1] + 2) * cell / side) + 1
+    owner, distance = np.full((rows, columns), -1, np.int32), np.full((rows, columns), np.inf, np.float32)
+    span = int(cell / side) + 1
+    for j in range(points.shape[0]):
+        x, y = (points[j, 0] - low[0] + cell) / side, (points[j, 1] - low[1] + cell) / side
+        for a in range(max(int(x) - span, 0), min(int(x) + span + 1, rows)):
+            for b in range(max(int(y) - span, 0), min(int(y) + span + 1, columns)):
+                d2 = (a + 0.5 - x) ** 2 + (b + 0.5 - y) ** 2
+                if d2 < distance[a, b]:
+                    distance[a, b], owner[a, b] = d2, j
+    return owner, side
+
+
+@jit
+def _beyond(within: Array, x: float, y: float, co: float, si: float) -> bool:
+    """Whether a motion to (x, y), with the cosine and sine of its turn, lies outside `within` as `search` has it."""
     u = co * within[5] - si * within[6] + x - within[0]
     v = si * within[5] + co * within[6] + y - within[1]
-    return bool(u * u + v * v > within[3] * within[3])
+    if u * u + v * v > within[3] * within[3]:
+        return True
+    straight = co * math.cos(within[2]) + si * math.sin(within[2])
+    return bool(within[4] < math.pi and straight < math.cos(within[4]))
 
 
 @jit
@@ -62,11 +86,15 @@ def search(
     rest = np.zeros(k + 1)
     for i in range(k - 1, -1, -1):
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
+    owner, side = _field(points, cell, low, shape)
+    west, south = low[0] - cell, low[1] - cell
     tried = 0
     for r in range(anchors.shape[0]):
         a, b = anchors[r, 0], anchors[r, 1]
         qx, qy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
         length = math.sqrt(qx * qx + qy * qy)
+        if length == 0.0:
+            continue
         near, far = max(length - tolerance[r], 1e-9), length + tolerance[r]
         rings = int(far / cell) + 1
         for ja in range(n):
@@ -81,12 +109,12 @@ def search(
                     if square < near * near or square > far * far:
                         continue
                     tried += 1
-                    theta = math.atan2(qx * vy - qy * vx, qx * vx + qy * vy)
-                    co, si = math.cos(theta), math.sin(theta)
+                    longer = length * math.sqrt(square)
+                    co, si = (qx * vx + qy * vy) / longer, (qx * vy - qy * vx) / longer
                     mx, my = 0.5 * (q[a, 0] + q[b, 0]), 0.5 * (q[a, 1] + q[b, 1])
                     tx = px + 0.5 * vx - co * mx + si * my
                     ty = py + 0.5 * vy - si * mx - co * my
-                    if _beyond(within, tx, ty, theta, co, si):
+                    if _beyond(within, tx, ty, co, si):
                         continue
                     vote, floor = 0.0, votes[basins - 1]
                     for i in range(k):
@@ -95,11 +123,15 @@ def search(
                             break
                         x = co * q[i, 0] - si * q[i, 1] + tx
                         y = si * q[i, 0] + co * q[i, 1] + ty
-                        j, d2 = nearest(x, y, cell, points, cell, low, shape, start, index)
+                        fx, fy = (x - west) / side, (y - south) / side
+                        if fx < 0.0 or fy < 0.0 or fx >= owner.shape[0] or fy >= owner.shape[1]:
+                            continue
+                        j = owner[int(fx), int(fy)]
                         if j >= 0:
+                            d2 = (x - points[j, 0]) ** 2 + (y - points[j, 1]) ** 2
                             vote += max(gain[i] - 0.5 * d2 / (spread[i] * spread[i]), 0.0)
                     if vote > floor:
-                        _keep(motions, votes, tx, ty, theta, vote, apart)
+                        _keep(motions, votes, tx, ty, math.atan2(si, co), vote, apart)
                     if tried >= budget:
                         return motions, votes, tried
     return motions, votes, tried

@@ -26,8 +26,8 @@ def ready(
 
     A pose from two observations is itself uncertain by about their noise: votes are weighed by three times it.
     Returns W (m, 3), gain (m,), worth (n,), the side m of a cell that holds every vote worth casting, apart (2,), and up
-    to `most` pairs of observations (a, 2) with the tolerance (a,) m on their distance: few candidates and long baseline
-    first, each observation used at most three times, 3.5 sigma of the two.
+    to `most` pairs of observations (a, 2) with the tolerance (a,) m on their distance, 3.5 sigma of the two: those that
+    share no observation first, of them few candidates and a long baseline; each observation is used at most three times.
     """
     m, n = q.shape[0], D.shape[0]
     own, top = np.zeros(3), odds.max()
@@ -62,14 +62,17 @@ def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, A
                 first[found], second[found], rank[found] = a, b, math.log(work) - 2.0 * math.log(length)
                 found += 1
     times, pairs, tolerance, kept = np.zeros(m, np.int64), np.empty((most, 2), np.int64), np.empty(most), 0
-    for k in np.argsort(rank[:found], kind="mergesort"):
-        a, b = first[k], second[k]
-        if kept < most and times[a] < 3 and times[b] < 3:
-            times[a] += 1
-            times[b] += 1
-            pairs[kept, 0], pairs[kept, 1] = a, b
-            tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
-            kept += 1
+    order, chosen = np.argsort(rank[:found], kind="mergesort"), np.zeros(found, np.bool_)
+    for uses in range(1, 4):  # anchors that share no observation first: a false one must not speak twice
+        for k in order:
+            a, b = first[k], second[k]
+            if kept < most and not chosen[k] and times[a] < uses and times[b] < uses:
+                times[a] += 1
+                times[b] += 1
+                pairs[kept, 0], pairs[kept, 1] = a, b
+                tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
+                chosen[k] = True
+                kept += 1
     return pairs[:kept], tolerance[:kept]
 
 

@@ -86,7 +86,6 @@ def spread_out(gains: Array, start: Array, columns: Array, n: int, rounds: int) 
 def integrated(
     steps: Array, centres: Array, Ms: Array, wider: float, starts: Array, offsets: Array, columns: Array, gains: Array,
     looks: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior: Array, gate2: float,
-    bold: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Marginals p (m, n) and none (m,) with the pose integrated out by importance sampling.
 
@@ -94,7 +93,7 @@ def integrated(
     normal steps (g, S, 3). Given the pose the pairings are independent but for being one-to-one; each pose weighs its
     prior times the sum over all assignments (Bethe) over the mixture's density. Basin b lists its candidates in
     columns[offsets[b]:offsets[b + 1]] by starts[b] (m + 1), with their `gains` at its pose, no gate applied (the
-    hopeless are left out), and what `looks` adds to gains. The `bold` nats in each pairing's base do not weigh poses.
+    hopeless are left out), and what `looks` adds to gains.
     """
     g, S, m, n = steps.shape[0], steps.shape[1], q.shape[0], points.shape[0]
     logs, alone, done = np.empty(g * S), np.empty((g * S, m)), 0
@@ -115,8 +114,7 @@ def integrated(
             done += mine.shape[0]
             back = _turned(prior, pose)
             before = -0.5 * (back[0] * pose[0] + back[1] * pose[1] + back[2] * pose[2])
-            paired = m - alone[b * S + s].sum()
-            logs[b * S + s] = before + log_z - bold * paired - _mixture(pose, centres, factors)
+            logs[b * S + s] = before + log_z - _mixture(pose, centres, factors)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     done = 0

@@ -52,6 +52,17 @@ def local_candidates(
 
 
 @jit
+def reaches(R: Array, D: Array, gate2: float) -> Array:
+    """How far from an observation (m,) its landmark may be, m: the largest variance, three mean own ones of a landmark in it."""
+    a, b, d = 3.0 * D[:, 0, 0].mean(), 3.0 * D[:, 0, 1].mean(), 3.0 * D[:, 1, 1].mean()
+    far = np.empty(R.shape[0])
+    for i in range(R.shape[0]):
+        half, skew = 0.5 * (R[i, 0, 0] + a + R[i, 1, 1] + d), R[i, 0, 1] + b
+        far[i] = 1.5 * math.sqrt(gate2 * (half + math.hypot(half - R[i, 1, 1] - d, skew)))
+    return far
+
+
+@jit
 def descend(
     poses: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array,
     reach: Array, cell: float, low: Array, shape: Array, cells: Array, index: Array, allowed: Array, gate2: float,
@@ -218,6 +229,17 @@ def uncontested(gains: Array, start: Array, columns: Array, match: Array) -> boo
         if best != match[i]:
             return False
     return True
+
+
+@jit
+def worth(gains: Array, start: Array, columns: Array) -> tuple[Array, Array]:
+    """The landmarks that are listed (k,), and what each observation gains by each of them (m, k), at least 0."""
+    names = np.unique(columns)
+    table = np.zeros((start.shape[0] - 1, names.shape[0]))
+    for i in range(table.shape[0]):
+        for c in range(start[i], start[i + 1]):
+            table[i, np.searchsorted(names, columns[c])] = max(gains[c], 0.0)
+    return names, table
 
 
 @jit

@@ -264,6 +264,48 @@ def solve(
 
 
 @jit
+def listed(
+    nu: Array, C: Array, R: Array, base: Array, start: Array, columns: Array, gate2: float, slack: float, budget: int,
+    size: int,
+) -> tuple[bool, Array, Array, Array, float, int]:  # fmt: skip
+    """Marginals p (m, n) and none (m,) by summing all hypotheses within `slack` nats of the best; its match, L, and nodes.
+
+    The first is False where the budget, or `size` hypotheses, did not suffice: then the sums are not what they claim.
+    """
+    pool, values, nodes, proven = solve(nu, C, R, base, start, columns, gate2, slack, budget, size)
+    p, none, total = np.zeros((nu.shape[0], nu.shape[1])), np.zeros(nu.shape[0]), 0.0
+    for k in range(size):
+        if values[k] > values[0] - slack:
+            weight = math.exp(values[k] - values[0])
+            total += weight
+            for i in range(none.shape[0]):
+                if pool[k, i] >= 0:
+                    p[i, pool[k, i]] += weight
+                else:
+                    none[i] += weight
+    return proven and values[size - 1] == -np.inf, p / total, none / total, pool[0], values[0], nodes
+
+
+@jit
+def bent(z_hat: Array, C: Array, R: Array, turn: float, polar: bool) -> float:
+    """What linearising the pose leaves out of a prediction, one sigma, over the noise (m, 2, 2): the largest of all.
+
+    An arc beside its tangent: p v / 2, v the variance of the bearing, or `turn`, that of the heading, for points; and for
+    a bearing, the range it was taken at: sigma of the one times that of the other, over the range.
+    """
+    most, across, along = 0.0, np.inf, np.inf
+    for i in range(R.shape[0]):
+        along, across = min(along, math.sqrt(R[i, 0, 0])), min(across, math.sqrt(R[i, 1, 1]))
+    for j in range(z_hat.shape[0]):
+        if polar:
+            v, r = C[2 * j + 1, 2 * j + 1], z_hat[j, 0]
+            most = max(most, 0.5 * r * v / along, math.sqrt(C[2 * j, 2 * j] * v) / max(r, 1e-9) / across)
+        else:
+            most = max(most, 0.5 * math.hypot(z_hat[j, 0], z_hat[j, 1]) * turn / min(along, across))
+    return most
+
+
+@jit
 def rank(start: Array, columns: Array) -> tuple[Array, Array, Array]:
     """The order of the observations, fewest candidates first (ties by index), and their lists in that order."""
     m = start.shape[0] - 1

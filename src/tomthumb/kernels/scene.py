@@ -28,17 +28,54 @@ def log_odds(n: int, visible: Array, exist: Array) -> Array:
 
 
 @jit
-def own_gains(z: Array, clutter: Array, bearing: bool) -> Array:
-    """-log lambda0 of each observation (m,): false ones cannot be denser than all over the box that they fill."""
-    m, most = z.shape[0], np.inf
-    if m >= 4:
-        width = z[:, 1].max() - z[:, 1].min()
-        area = (z[:, 0].max() - z[:, 0].min()) * (min(width, 2.0 * math.pi) if bearing else width)
-        most = m / area if area > 0.0 else np.inf
-    gains = np.empty(m)
-    for i in range(m):
-        gains[i] = -math.log(min(clutter[i], most))
-    return gains
+def own_gains(z: Array, clutter: Array, z_hat: Array, odds: Array, bearing: bool) -> Array:
+    """-log lambda0 of each observation (m,): `clutter` (m,) as told, and less where the scan speaks against it.
+
+    False ones cannot be denser than all m over the box that they fill. And where they are to be expected all over that box,
+    or only where landmarks are (odds (n,) of each prediction, of size 0: not known), is weighed by how many there are: the
+    box of the predictions (n, 2) may be far smaller, under a pose that is uncertain by more than the view is deep.
+    """
+    m, n, sides = z.shape[0], z_hat.shape[0], _box(z, bearing)[1]
+    area, rates = sides[0] * sides[1], clutter.copy()
+    if m >= 4 and n >= 2 and odds.size:
+        corner, view = _box(z_hat, bearing)
+        centre, view = corner + 0.5 * view, view * (n + 1.0) / (n - 1.0)  # n points fill so much less than their box
+        told = clutter.sum() / m
+        there = min(_excess(m, told * area, odds) - _excess(m, told * view[0] * view[1], odds), 700.0)
+        for i in range(m):
+            x, y = z[i, 0] - centre[0], z[i, 1] - centre[1]
+            if bearing:
+                y = (y + math.pi) % (2.0 * math.pi) - math.pi
+            outside = abs(x) > 0.5 * view[0] or abs(y) > 0.5 * view[1]
+            if outside and view[0] * view[1] < area and there > 0.0:
+                rates[i] *= math.exp(-there)
+    if m >= 4 and area > 0.0:
+        rates = np.minimum(rates, m / area)
+    return -np.log(rates)
+
+
+@jit
+def _box(z: Array, bearing: bool) -> tuple[Array, Array]:
+    """Lowest corner (2,) and sides (2,) of the box that points (k, 2) fill; a bearing's side is a turn at most."""
+    low, wide = np.zeros(2), np.zeros(2)
+    for c in range(2):
+        if z.shape[0]:
+            low[c] = z[:, c].min()
+            wide[c] = z[:, c].max() - low[c]
+    if bearing:
+        wide[1] = min(wide[1], 2.0 * math.pi)
+    return low, wide
+
+
+@jit
+def _excess(m: int, false: float, odds: Array) -> float:
+    """What m observations say against `false` expected beside the detections, nats; 0 where they are no fewer."""
+    expected, variance = false, false
+    for j in range(odds.shape[0]):
+        chance = 1.0 / (1.0 + math.exp(-odds[j]))
+        expected += chance
+        variance += chance * (1.0 - chance)
+    return 0.5 * max(expected - m, 0.0) ** 2 / variance
 
 
 @jit

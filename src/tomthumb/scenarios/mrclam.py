@@ -16,38 +16,44 @@ from tomthumb.types import Array, Observations, Prior, Scenario, Truth
 
 SUFFIXES = ("", ".xz", ".gz", ".bz2")
 ROBOTS = 5
-# Residuals against Vicon: range 0.07 to 0.18 m by robot, with a bias up to 0.07 m; bearing 0.3 to 1.1 deg; a few
-# percent of the sightings are off by 0.5 m and more. The stds cover the worst robot.
-STD = (0.15, math.radians(1.2))
+# What the files call a range is the depth along the camera's axis, for it is told from how large a barcode looks: DEPTH times
+# the true depth, 1.024 to 1.052 by robot. Ranges made of it are off by 0.04 to 0.07 m rms against Vicon, by robot, bearings by
+# 0.6 to 0.9 deg, and robot 1's by 1.6 deg: STD is the worst robot's. The numbers as they stand are off by 0.12 to 0.19 m.
+DEPTH = 1.036
+WIDEST = math.radians(60.0)  # far outside the camera's view: no depth is divided by a cosine near zero
+STD, STD_AS_RANGES = (0.07, math.radians(1.6)), (0.15, math.radians(1.2))
 # The controls are commands, not measurements. What is left of their error with DELAY, TURN and SPEED, as noise of each
 # command, is that of the worst robot over the longest span measured, 60 s (docs/logs.md has the figures for others).
 CONTROL_STD = (0.14, 0.27)
 DELAY = 0.25  # s from a command to the motion: 0.20 to 0.30 by robot of set 7, against Vicon; the camera's clock is right to 0.05 s
 TURN = 0.95  # of the turn that is commanded is made: what makes heading over 1, 5 and 20 s fit Vicon best
 SPEED = 0.91  # of the speed that is commanded is made: 0.88 to 0.92 by robot
-MAX_DELAY, MAX_SHARE = 10.0, 10.0
+MAX_DELAY, MAX_SHARE, LEAST_DEPTH = 10.0, 10.0, 0.1
 LONGEST_GAP = 0.5  # s, over which the true pose may be interpolated
 MAX_RANGE, FOV, DETECT = 9.0, math.radians(68.0), 0.3
 
 
-def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TURN, speed: float = SPEED) -> Scenario:
+def mrclam(
+    path: Path,
+    *,
+    robot: int = 1,
+    delay: float = DELAY,
+    turn: float = TURN,
+    speed: float = SPEED,
+    depth: float = DEPTH,
+) -> Scenario:
     """One robot of a set: the folder with Barcodes.dat, Landmark_Groundtruth.dat and RobotN_*.dat (plain, .xz or .gz).
 
     Sightings of other robots and of barcodes that belong to nobody are left out. The odometry holds commands, which
-    act `delay` s later; of the turn and the speed that they say the robot makes the shares `turn` and `speed`. The log
+    act `delay` s later; of the turn and the speed that they say the robot makes the shares `turn` and `speed`. The ranges
+    in the files are depths along the camera's axis, `depth` times the true ones; `depth=0` takes them for ranges. The log
     starts where both odometry and ground truth (if there is any) have begun. Without ground truth the robot starts at
     (0, 0, 0).
 
     Raises BrokenFile for missing or broken files, TomThumbError for a `robot` other than 1 to 5 or an impossible delay,
-    turn or speed.
+    turn, speed or depth.
     """
-    if not 1 <= robot <= ROBOTS:
-        raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
-    if not 0 <= delay <= MAX_DELAY:
-        raise TomThumbError(f"mrclam: delay={delay:g}: 0 to {MAX_DELAY:g} s")
-    for name, share in (("turn", turn), ("speed", speed)):
-        if not 0 < share <= MAX_SHARE:
-            raise TomThumbError(f"mrclam: {name}={share:g}: above 0, and at most {MAX_SHARE:g}")
+    _check(robot, delay, turn, speed, depth)
     folder = _folder(Path(path))
     landmarks, index = _landmarks(folder)
     odometry = _read(folder, f"Robot{robot}_Odometry", 3)
@@ -60,6 +66,7 @@ def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TU
     codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
     ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
     sightings, ids = sightings[ids >= 0], ids[ids >= 0]
+    sightings[:, 2] = _ranges(sightings[:, 2], sightings[:, 3], depth)
     truth = _ground_truth(folder, robot)
     start = float(odometry[0, 0] if truth is None else max(odometry[0, 0], truth[0, 0]))
     seen = sightings[:, 0] >= start
@@ -70,7 +77,8 @@ def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TU
     if truth is not None:
         poses = pose_at(scans.t, truth[:, 0], truth[:, 1:], LONGEST_GAP)
         first = pose_at(np.array([start]), truth[:, 0], truth[:, 1:], np.inf)[0]
-    R = np.diag(np.square(STD))
+    std = STD if depth else STD_AS_RANGES
+    R = np.diag(np.square(std))
 
     def scan(i: int) -> tuple[Observations, Truth]:
         rows = scans.rows(i)
@@ -80,12 +88,29 @@ def mrclam(path: Path, *, robot: int = 1, delay: float = DELAY, turn: float = TU
     return Scenario(
         name=f"mrclam robot {robot}",
         motion=Velocity(std=CONTROL_STD),
-        sensor=RangeBearing(max_range=MAX_RANGE, fov=FOV, std=STD, detect=DETECT, clutter=1e-3),
+        sensor=RangeBearing(max_range=MAX_RANGE, fov=FOV, std=std, detect=DETECT, clutter=1e-3),
         prior=Prior(first, np.zeros((3, 3))),
         steps=steps(timeline(odometry[:, 0], scans.t, start), odometry[:, 1:], scan),
         landmarks=landmarks,
         info={"file": str(folder), "robot": robot},
     )
+
+
+def _check(robot: int, delay: float, turn: float, speed: float, depth: float) -> None:
+    if not 1 <= robot <= ROBOTS:
+        raise TomThumbError(f"mrclam: robot={robot}: 1 to {ROBOTS}")
+    if not 0 <= delay <= MAX_DELAY:
+        raise TomThumbError(f"mrclam: delay={delay:g}: 0 to {MAX_DELAY:g} s")
+    for name, share in (("turn", turn), ("speed", speed)):
+        if not 0 < share <= MAX_SHARE:
+            raise TomThumbError(f"mrclam: {name}={share:g}: above 0, and at most {MAX_SHARE:g}")
+    if not (depth == 0 or LEAST_DEPTH <= depth <= MAX_SHARE):
+        raise TomThumbError(f"mrclam: depth={depth:g}: 0 (they are ranges), or {LEAST_DEPTH:g} to {MAX_SHARE:g}")
+
+
+def _ranges(told: Array, bearing: Array, depth: float) -> Array:
+    """Ranges (k,) m of what stands `told` (k,) m ahead, times `depth`, in the directions `bearing` (k,) rad."""
+    return told / (depth * np.cos(np.clip(bearing, -WIDEST, WIDEST))) if depth else told
 
 
 def _folder(path: Path) -> Path:

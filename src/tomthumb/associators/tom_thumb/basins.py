@@ -57,7 +57,7 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
         budget.basins, budget.poses, 2.0 * BEHIND,
     )  # fmt: skip
     poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
-    reach = 1.5 * np.sqrt(gate2 * _widest(s))
+    reach = motion.reaches(s.R, s.D, gate2)
     seen = (reach, s.p, *grid, NO_LABELS if s.allowed is None else s.allowed)
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
     ends, Ms, matches, values = motion.descend(poses, *args, s.prior, reach, *seen[2:], gate2, apart, 3)
@@ -67,14 +67,6 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
         basin = _looked_over(s, ends[k], Ms[k], matches[k], values[k], listed, gate2)
         found.append(untangled(s, basin) if len(found) < POLISHED else basin)
     return found, {"poses": tried, "anchors": used, "proof": "truncated"}
-
-
-def _widest(s: Rigid) -> Array:
-    """Largest variance (m,), m2, of each observation with three times the mean own covariance of a landmark."""
-    V = s.R + 3.0 * s.D.mean(0)
-    half = 0.5 * (V[:, 0, 0] + V[:, 1, 1])
-    widest: Array = half + np.sqrt((half - V[:, 1, 1]) ** 2 + V[:, 0, 1] ** 2)
-    return widest
 
 
 def _leaders(matches: Ids, values: Array, reach: float) -> list[int]:
@@ -123,12 +115,9 @@ def untangled(s: Rigid, basin: Basin) -> Basin:
 
 def assigned(gains: Array, near: Window) -> Ids:
     """The one-to-one match of greatest total gain over the listed pairings; a pairing without gain is left out."""
-    m = len(near.counts)
-    names, place = np.unique(near.columns, return_inverse=True)
-    table = np.zeros((m, len(names)))
-    table[np.repeat(np.arange(m), near.counts), place] = np.maximum(gains, 0.0)
+    names, table = motion.worth(gains, near.start, near.columns)
     rows, picked = linear_sum_assignment(table, maximize=True)
-    match = np.full(m, -1, np.int64)
+    match = np.full(len(table), -1, np.int64)
     good = table[rows, picked] > 0.0
     match[rows[good]] = names[picked[good]]
     return match

@@ -15,17 +15,14 @@ ROUNDS = 50  # of belief propagation, at most
 WIDER = 1.5  # poses are drawn from each basin's Gaussian, so many times wider: a weight must not explode in the tails
 
 
-def mixed_marginals(found: list[Basin], n: int, bold: float = 0.0) -> tuple[Array, Array]:
-    """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins, each by its weight.
-
-    The `bold` nats that each pairing was given do not count in the weights.
-    """
+def mixed_marginals(found: list[Basin], n: int) -> tuple[Array, Array]:
+    """Probability of each pairing (m, n) and of staying unpaired (m,), over all basins, each by its weight."""
     if len(found) == 1:
         near, gains = found[0].window, found[0].gains
         alone: tuple[Array, Array] = marginals.spread_out(gains, near.start, near.columns, n, ROUNDS)
         return alone
-    sober = np.array([b.value - bold * np.count_nonzero(b.match >= 0) for b in found])
-    weights = np.exp(sober - sober.max())
+    values = np.array([b.value for b in found])
+    weights = np.exp(values - values.max())
     weights /= weights.sum()
     m = len(found[0].match)
     p, none = np.zeros((m, n)), np.zeros(m)
@@ -37,7 +34,7 @@ def mixed_marginals(found: list[Basin], n: int, bold: float = 0.0) -> tuple[Arra
 
 
 def sampled_marginals(
-    found: list[Basin], s: Rigid, samples: int, gate2: float, rng: Rng, bold: float = 0.0
+    found: list[Basin], s: Rigid, samples: int, gate2: float, rng: Rng
 ) -> tuple[Array, Array]:  # fmt: skip
     """The same with the pose integrated out by importance sampling: given the pose, the pairings are independent.
 
@@ -58,7 +55,7 @@ def sampled_marginals(
     )
     steps = rng.standard_normal((len(found), samples, 3))
     p, none = marginals.integrated(
-        steps, centres, Ms, WIDER, starts, offsets, columns, gains, looks, *args, s.prior, gate2, bold
+        steps, centres, Ms, WIDER, starts, offsets, columns, gains, looks, *args, s.prior, gate2
     )
     return p, none
 
@@ -81,10 +78,3 @@ def chances(match: Ids, p: Array, none: Array) -> Array:
     """Probability (m,) of each decision of a match."""
     chance: Array = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
     return chance
-
-
-def soberly(match: Ids, chance: Array, none: Array, bold: float) -> Array:
-    """Probability (m,) of each decision with the `bold` nats that every pairing was given taken from its own again."""
-    more = none * np.expm1(bold)
-    sober: Array = np.where(match >= 0, chance, chance * np.exp(bold)) / (1.0 + more)
-    return sober

@@ -18,7 +18,7 @@ from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
 SAMPLE = 16  # predictions on which the common motion is fitted and checked
 REMAINDER = 0.1  # covariance between landmarks left over by the motion, relative to their own and the noise
-NOTHING = np.empty((0, 0))
+NOTHING, UNKNOWN = np.empty((0, 0)), np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Window:
     @property
     def counts(self) -> Ids:
         """Number of candidates of each observation (m,)."""
-        return np.diff(self.start)
+        return self.start[1:] - self.start[:-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,9 @@ class Rigid:
 def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
     """(m,) -log lambda0 of each observation and (n,) log odds of detection plus the memory's prior, in z's units."""
     odds = log_odds(problem)
-    return kernel.own_gains(problem.z, problem.clutter, bool(problem.angles)), odds if prior is None else odds + prior
+    known = odds if problem.predictions.visible is not None else UNKNOWN
+    own = kernel.own_gains(problem.z, problem.clutter, problem.predictions.z_hat, known, bool(problem.angles))
+    return own, odds if prior is None else odds + prior
 
 
 def weighed(gains: Array, evidence: Array | None) -> Array:

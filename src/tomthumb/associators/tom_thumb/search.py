@@ -1,7 +1,8 @@
 """Simulated Tom Thumb names the landmarks: the joint posterior, searched by the family.
 
     0  window      candidates of each observation
-    1  quick path  a scan in which nobody has two candidates, and no gain leaves a doubt, is done at once
+    1  quick path  a scan in which nobody has two candidates, and no gain leaves a doubt, is done at once; in a small scan
+                   all hypotheses that count are listed and summed
     2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
     4  boots: stagnation makes the ruins larger
@@ -15,14 +16,14 @@ hypotheses met: that is what maximises the expected number of right decisions, a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
-from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals, soberly
+from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -35,6 +36,8 @@ Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predi
 SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
+SHORT, SOON = 48, 1000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
+MANY = 64  # hypotheses that may be listed
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -49,8 +52,8 @@ class TomThumb:
     least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
     (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
     or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
-    to be done at once (0: never). courage: nats that a pairing gains on top in an ambiguous scan. hard: mean number of
-    candidates from which a scan is ambiguous and pose basins are searched.
+    to be done at once (0: never). listed: nats behind the best within which all hypotheses of a small scan are summed (0:
+    never). hard: mean number of candidates from which a scan is ambiguous and pose basins are searched.
     memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats a scan; at most `size`
     landmarks are remembered.
     """
@@ -71,7 +74,7 @@ class TomThumb:
     reach: float = 7.0
     sure: float = 0.98
     quick: float = 4.0
-    courage: float = 0.0
+    listed: float = 6.0
     hard: float = 1.5
     memory: bool = False
     recent: float = 3.0
@@ -100,25 +103,27 @@ class TomThumb:
             if clear:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
         hard = self._is_hard(near)
-        bold = self.courage if hard and self.decide != "map" else 0.0
-        own = own + bold  # hypotheses of few pairs are many in an ambiguous scan: see docs/stt.md
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
+        if self._may_be_listed(problem, near):
+            listed = self._listed(given, near)
+            if listed:
+                return listed
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
         proven = info["proof"] == "optimal"
         if found:
-            p, none = mixed_marginals(found, n, bold)
+            p, none = mixed_marginals(found, n)
             if self._is_settled(
                 found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
             ):
-                return self._decided(found, info, p, none, bold)
+                return self._decided(found, info, p, none)
         scene = rigid(problem, own, odds)
         if scene is not None:
-            return self._over_poses(scene, near, found if proven or not hard else [], info, bold, rng)
+            return self._over_poses(scene, near, found if proven or not hard else [], info, rng)
         if not found:
             found, info = self._within(given, near, rng)
-        return self._decided(found, info, *mixed_marginals(found, n, bold), bold)
+        return self._decided(found, info, *mixed_marginals(found, n))
 
     def learn(self, ids: Ids, t: float) -> None:
         """See `protocols.Associator`: who is seen after whom, as a log prior for the next scans."""
@@ -138,6 +143,16 @@ class TomThumb:
         few = near.start[-1] <= len(problem.z)
         return bool(few and self.quick > 0.0 and problem.evidence is None and self.gates[0] >= self.gates[1])
 
+    def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
+        """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
+        wanted = self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
+        if not wanted or near.start[-1] > SHORT or self.gates[0] < self.gates[1]:
+            return False
+        given = problem.predictions
+        if given.pose_cov is None:
+            return False
+        return bool(posterior.bent(given.z_hat, given.cov, problem.R, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
+
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
         m = len(near.start) - 1
@@ -156,10 +171,20 @@ class TomThumb:
         match, chance, free = marginals.pick(p, none, self.least)
         return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
 
+    def _listed(self, given: Given, near: Window) -> Sequence[Association]:
+        """The decision by the sums over all hypotheses that count; none where they are too many."""
+        whole, p, none, _best, value, nodes = posterior.listed(
+            *given, near.start, near.columns, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
+        )
+        if not whole:
+            return []
+        match, chance = most_probable(p, none, self.least)
+        return [Association(match, value, {"proof": "optimal", "nodes": nodes, "objective": value}, chance)]
+
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], bold: float, rng: Rng
+        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], rng: Rng
     ) -> Sequence[Association]:
         """The decision with the pose integrated out, over the hypotheses known, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
@@ -167,10 +192,10 @@ class TomThumb:
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        p, none = mixed_marginals(found, len(scene.p), bold)
+        p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
-            p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng, bold)
-        return self._decided(found, info, p, none, bold)
+            p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
+        return self._decided(found, info, p, none)
 
     def _budget(self) -> Budget:
         return Budget(self.anchors, self.basins, self.poses, self.reach)
@@ -193,7 +218,7 @@ class TomThumb:
                 found, info = distinct(others, self.reach), spent
         if not found:
             found, info = self._within(given, near, rng)
-        return self._decided(found, info, *mixed_marginals(found, len(odds)), 0.0)
+        return self._decided(found, info, *mixed_marginals(found, len(odds)))
 
     def _polished(
         self, matches: list[Ids], given: Given, near: Window, gate2: float, rng: Rng, info: dict[str, Any]
@@ -269,18 +294,13 @@ class TomThumb:
 
     # --- 6: decision -----------------------------------------------------------------------------------------------
 
-    def _decided(
-        self, found: list[Basin], info: dict[str, Any], p: Array, none: Array, bold: float
-    ) -> Sequence[Association]:
-        """The decision by its probabilities, and what was found beside it; L and confidence without the courage in them."""
-        found = [replace(b, value=b.value - bold * int((b.match >= 0).sum())) for b in found] if bold else found
+    def _decided(self, found: list[Basin], info: dict[str, Any], p: Array, none: Array) -> Sequence[Association]:
+        """The decision by its probabilities, and what was found beside it."""
         best = found[0]
         if self.decide == "map":
             match, chance = best.match, chances(best.match, p, none)
         else:
             match, chance = most_probable(p, none, self.least)
-        if bold:
-            chance = soberly(match, chance, none, bold)
         first = Association(match, best.value, {**info, "objective": best.value, "basins": len(found)}, chance)
         return [first, *self._brothers(found[1:], best.value, match)] if len(found) > 1 else [first]
 
