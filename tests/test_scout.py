@@ -161,8 +161,8 @@ def test_a_robot_that_was_carried_has_a_new_scout_and_a_new_diary():
         lengths.append(len(slam.court.scout.diary.entries) if slam.court.scout else 0)
         words.append(record.info.get("king"))
     home = words.index("home")
-    assert lengths[home - 1] == 0
-    assert lengths[home + 2] == 2
+    assert lengths[home - 1] > 200
+    assert lengths[home : home + 3] == [0, 1, 2]
 
 
 def test_scans_that_are_empty_and_other_filters_are_taken_as_they_come():

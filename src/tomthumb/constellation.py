@@ -74,6 +74,22 @@ def fits(q: Array, covs: Array, points: Array, also: Array | None = None, within
     return [_about(fit, centre) for fit in _distinct(found, apart)]
 
 
+def fitted(q: Array, covs: Array, points: Array, motion: Array) -> Fit:
+    """The way to lay the local points on the map that lies next to `motion` (3,); gain -inf where there is none."""
+    centre, spread = q.mean(0), _spread(covs)
+    grid = fill_grid(points, GATE * float(spread.max()))
+    start = _about_centre(motion, centre)
+    return _about(_refined(start, q - centre, spread, _gains(spread, points), points, grid), centre)
+
+
+def perfect(q: Array, covs: Array, points: Array) -> Fit:
+    """As good a fit as there can be: every local point has a partner just where it should be."""
+    spread, centre = _spread(covs), q.mean(0)
+    motion, cov = _laid(q - centre, q - centre, spread)
+    gain = float(_gains(spread, points).sum())
+    return _about(Fit(motion, cov, np.arange(len(q)), len(q), gain), centre)
+
+
 def _about_centre(motion: Array, centre: Array) -> Array:
     return np.append(rotation(motion[2]) @ centre + motion[:2], motion[2])
 
@@ -95,9 +111,13 @@ def _spread(covs: Array) -> Array:
 
 def _gains(spread: Array, points: Array) -> Array:
     """log(1 / (2 pi s2 density)), at most 5 nats: how much less a vote is to be expected by chance."""
-    density = 1.0 / np.maximum(4.0 * np.median(spacing(points)) ** 2, 1e-9)
-    gains: Array = np.clip(-np.log(2.0 * np.pi * spread**2 * density), 0.5, 5.0)
+    gains: Array = np.clip(-np.log(2.0 * np.pi * spread**2 * density(points)), 0.5, 5.0)
     return gains
+
+
+def density(points: Array) -> float:
+    """Points per m2 where there are some: strewn evenly, half of them have a neighbour within .47 of the root of 1/density."""
+    return float(1.0 / np.maximum(4.0 * np.median(spacing(points)) ** 2, 1e-9))
 
 
 def spacing(points: Array) -> Array:

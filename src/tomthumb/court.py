@@ -1,6 +1,6 @@
-"""What the loop does when the family flees, when the king carries it home, and when he closes a loop.
+"""What the loop does when the family flees, and when the king carries it home.
 
-`watch` says when to flee, `king` when to go home, `closing` when a loop is closed; here the branches are changed.
+`watch` says when to flee, `king` when to go home, `lookout` that the family is elsewhere; here the branches are changed.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
-from tomthumb.closing import Closure, Loops, closure
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, rotation
-from tomthumb.king import Exile, King, Return, left_behind, pose_home, way_home
+from tomthumb.king import Exile, King, Return, left_behind, pose_home, small, way_home
 from tomthumb.lifecycle import inherit
+from tomthumb.lookout import Found, Lookout, spliced
+from tomthumb.places import Guess
 from tomthumb.protocols import Estimator, Rng
 from tomthumb.renaming import put_right
 from tomthumb.revision import Moment
@@ -36,7 +37,7 @@ class Court:
     king: King | None
     scouting: Scouting | None = None
     scout: Scout | None = None
-    loops: Loops = field(default_factory=Loops)
+    lookout: Lookout = field(default_factory=Lookout)
     watch: Watch = field(default_factory=Watch)
     exile: Exile | None = None
     consistency: Consistency = field(default_factory=Consistency)
@@ -48,6 +49,8 @@ class Court:
 
     def before(self, slam: Slam, moment: Moment) -> None:
         """Before each step: the scout goes along by himself. A robot that was carried has a new one, and a new diary."""
+        if self.king is not None and self.exile is None and slam.index >= slam.teach_steps:
+            self.lookout.before(slam, moment)
         if self.scouting is None:
             return
         if self.exile is not None:
@@ -87,7 +90,7 @@ class Court:
             slam.found(slam.branches[0], scan)
         if self.exile is not None:
             return self._seek(slam, self.king, self.exile)
-        return self._close(slam, self.king, scan)
+        return self._look_out(slam, self.king)
 
     def look(self, branch: Branch, ids: Ids, known: Mask, seen: Mask, chance: Array, count: int, scan: int) -> None:
         """The landmarks `ids` (n,) of a scan of `count`: confirmed and due, seen, and with what chance of that (n,)."""
@@ -104,7 +107,8 @@ class Court:
         """
         self.exile, fresh = flee(slam.estimator, branch, slam.index, slam.rng_estimator)
         self.exile.believed = believed
-        slam.branches, self.watch = [fresh], Watch()
+        slam.branches, self.watch, self.lookout = [fresh], Watch(), Lookout()
+        self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
 
     def whole(self, here: Estimate) -> Estimate:
         """The estimate; while the family is away, with the old map beside the new one."""
@@ -115,27 +119,38 @@ class Court:
         away.trail.append(slam.estimator.pose(here.belief)[0])
         if len(away.trail) % king.every:
             return {"king": "away"}
-        way = way_home(king, away, slam.estimator.estimate(here.belief), here.ledger, slam.sensor)
+        now = slam.estimator.estimate(here.belief)
+        guess = Guess(now.pose, away.old.pose_cov, 0.5 if away.believed else 0.0)
+        mine = small(now, here.ledger, slam.scan, len(away.trail))
+        way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
         if way is None:
             return {"king": "away"}
         slam.branches = [go_home(slam.estimator, away, here, way, slam.index, slam.scan, slam.policy.hits)]
-        self.exile = None
+        self.exile, self.watch = None, Watch(since=slam.scan)
         return {"king": "home", "votes": way.fit.votes}
 
-    def _close(self, slam: Slam, king: King, scan: Scan) -> dict[str, Any]:
-        doubt = self.watch.since if self.watch.doubtful else None
-        if slam.scan % self.loops.every or not len(scan) or doubt is None:
-            return {}
-        best = slam.branches[0]
-        G = slam.sensor.locate(slam.estimator.pose(best.belief)[0], scan.honest.z)[2]
-        noise = float(np.sqrt(0.5 * np.trace(G @ scan.honest.R @ G.transpose(0, 2, 1), axis1=1, axis2=2).mean()))
-        found = closure(king, self.loops, best, slam.estimator, slam.sensor, slam.scan, doubt, noise)
+    def _look_out(self, slam: Slam, king: King) -> dict[str, Any]:
+        found = self.lookout.after(slam, king, self.watch.doubtful)
         if found is None:
             return {}
-        carry(slam.estimator, best, found, slam.index, slam.scan)
+        slam.branches = [recalled(slam, found)]
         self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
-        self.watch = Watch(since=slam.scan)
-        return {"king": "loop", "votes": found.way.fit.votes}
+        self.lookout, self.watch = Lookout(), Watch(since=slam.scan)
+        return {"king": "home", "votes": found.way.fit.votes}
+
+
+def recalled(slam: Slam, found: Found) -> Branch:
+    """The family where a brother has found it to be, with his map of the time that he was out instead of its own."""
+    home, walker = slam.branches[0], found.walker
+    gone = {i for i, life in home.ledger.items() if life.born >= walker.since.scan} | home.crumbs
+    home.belief = slam.estimator.forget(home.belief, np.array(sorted(gone), np.int64))
+    home.crumbs = set()
+    for i in sorted(gone):
+        del home.ledger[i]
+        if i not in walker.branch.ledger:
+            home.events = (home.events, "died", i, -1, slam.index)
+    here = spliced(home, walker, slam.index)
+    return go_home(slam.estimator, found.away, here, found.way, slam.index, slam.scan, slam.policy.hits)
 
 
 def flee(estimator: Estimator[Any], branch: Branch, index: int, rng: Rng) -> tuple[Exile, Branch]:
@@ -171,32 +186,6 @@ def go_home(
     home.history = _moved_history(here, way.fit.motion, scan - len(away.trail))
     home.ids, home.paired = (_renamed(ids, named) for ids in (here.ids, here.paired))
     return home
-
-
-def carry(estimator: Estimator[Any], branch: Branch, found: Closure, index: int, scan: int) -> None:
-    """The robot and all that was born since are moved onto the old map, and what was mapped twice is merged."""
-    way = found.way
-    pose, cov = pose_home(way.fit, *estimator.pose(branch.belief))
-    local = estimator.estimate(branch.belief)
-    named = {i: j for i, j in zip(way.ids.tolist(), way.named.tolist(), strict=True) if j >= 0}
-    young = np.array([branch.ledger[i].born > found.since for i in local.ids.tolist()], bool)
-    branch.belief = estimator.forget(branch.belief, local.ids[young])
-    branch.belief = estimator.relocate(branch.belief, pose, cov)
-    for k in np.flatnonzero(young).tolist():
-        i = int(local.ids[k])
-        life = branch.ledger.pop(i)
-        if i in named:
-            inherit(branch.ledger | {i: life}, named[i], i)
-            branch.events = (branch.events, "merged", i, named[i], index)
-        elif local.stone[k]:
-            place, spread = _placed(way, local.landmarks[k], local.covs[k])
-            branch.belief = estimator.place(branch.belief, np.array([i]), place[None], spread[None])
-            branch.ledger[i] = replace(life, place=None, apart={})
-        else:
-            branch.events = (branch.events, "died", i, -1, index)
-    branch.crumbs.difference_update(local.ids[young].tolist())
-    branch.history = _moved_history(branch, way.fit.motion, found.since - 1)
-    branch.ids, branch.paired = _renamed(branch.ids, named), _renamed(branch.paired, named)
 
 
 def _bring_along(

@@ -2,7 +2,7 @@
 
     flee      the watch says that the pose is wrong: the old map is put aside, a new one begun where the robot stands
     seek      after each scan the new map is laid on the old one as a constellation
-    verify    enough votes, few landmarks missing on either side, no other place nearly as good
+    verify    one place outweighs all the others, and that the robot is nowhere on the map (`places`)
     home      the robot is put where the fit says, what it has met is merged into the old map
 
 A kidnapped robot, a start at an unknown place of a known map, and a filter that has gone astray are one and the same.
@@ -10,40 +10,47 @@ A kidnapped robot, a start at an unknown place of a known map, and a filter that
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit, fits, spacing
-from tomthumb.geometry import compose, compose_jacobians, to_world, wrap_angle
-from tomthumb.lifecycle import Life
+from tomthumb.constellation import Fit, fits, fitted, perfect
+from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
+from tomthumb.lifecycle import Ledger
+from tomthumb.places import (
+    Guess,
+    Local,
+    Stones,
+    as_believed,
+    bare,
+    clear,
+    most_elsewhere,
+    stones,
+    view,
+    weighed,
+)
 from tomthumb.protocols import Sensor
+from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Estimate, Ids, Mask
 
-SURE = 0.5  # a landmark seen with more than this chance counts as missing where it is not
-MISSING = 2.3  # nats: log of 1 in 10, that a landmark which ought to be there is gone or hidden
-STRANGE = 1.0  # nats for a landmark that the old map does not have where it has others
-POSES = 40  # of the trail, at least where it has so many, from which a place is judged: each costs a look at the map
-NEVER = 1.0  # no hit that is one: what is known from before may stand here
+KNOWN = 0.5  # of what is seen must lie where there are stones, to speak against where the robot believes to be
+LATELY = 5  # scans: what was seen in them is here
+LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no proof of it
 
 
 @dataclass(frozen=True, slots=True)
 class King:
-    """When a fit is believed; reasons in docs/stt.md.
+    """When a place is believed; reasons in docs/lost.md.
 
-    votes: pairs at least, and `share` of the landmarks that both maps ought to have. lead: nats before the next place,
-    whose votes must weigh less than `rival` of the best one's. home: nats in favour of the place where the robot believes
-    itself, by its covariance and `drift` (m, rad); there a rival is no hindrance. every: scans between two attempts.
+    lead: nats by which it must outweigh all else together; no rival's pairs may weigh `rival` of its own. rare: nats
+    against having been carried away, for a robot that has not fled. every: scans between two attempts of one that has.
     """
 
-    votes: int = 8
-    share: float = 0.7
-    lead: float = 10.0
-    rival: float = 0.75
-    home: float = 12.0
-    drift: tuple[float, float] = (0.05, 0.03)
+    lead: float = 7.0
+    rival: float = 0.8
+    rare: float = 12.0
     every: int = 1
 
 
@@ -63,108 +70,85 @@ class Exile:
 
 @dataclass(frozen=True, slots=True)
 class Return:
-    """A verified way home: `fit` of the local landmarks `ids (k,)` on the old ones `named (k,)` (-1: not there)."""
+    """A verified way home: `fit` of the local landmarks `ids (k,)` on the old ones `named (k,)` (-1: not there).
+
+    `expected`: it leads where the robot is believed to be.
+    """
 
     fit: Fit
     ids: Ids
     named: Ids
+    expected: bool = False
 
 
 def left_behind(branch: Branch, old: Estimate) -> Exile:
     """What a family leaves behind when it flees."""
-    stones = old.only(old.stone)
-    exist = np.array([branch.ledger[i].exist for i in stones.ids.tolist()])
-    return Exile(branch, stones, exist)
+    rocks = old.only(old.stone)
+    exist = np.array([branch.ledger[i].exist for i in rocks.ids.tolist()])
+    return Exile(branch, rocks, exist)
 
 
-def way_home(king: King, away: Exile, here: Estimate, ledger: dict[int, Life], sensor: Sensor) -> Return | None:
-    """Where the local map `here` lies in the old one, if that can be verified; None otherwise."""
-    known = np.array([len(away.trail) < 3 or ledger[i].hits > NEVER for i in here.ids.tolist()], bool)
-    q, covs, ids = here.landmarks[known], here.covs[known], here.ids[known]
-    if len(q) < king.votes or len(away.old.ids) < king.votes:
+def way_home(
+    king: King, away: Exile, here: Small, guess: Guess, sensor: Sensor, detection: DetectionMap
+) -> Return | None:
+    """Where the small map `here` lies in the old one, if that can be verified; None otherwise. `guess`: where the robot
+    is believed to be in the old map.
+    """
+    q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
+    if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
-    return best_way(king, fits(q, covs, away.old.landmarks, np.zeros(3)), q, ids, away, sensor)
-
-
-def best_way(king: King, found: list[Fit], q: Array, ids: Ids, away: Exile, sensor: Sensor) -> Return | None:
-    """The fit of the local landmarks q (k, 2) with `ids (k,)` that is good and has no rival, if there is one."""
-    chosen = clear(king, [judged(king, fit, q, away, sensor) for fit in found])
-    if chosen is None:
+    old = stones(away.old.landmarks, away.exist)
+    most = most_elsewhere(perfect(q, covs, old.points), old, guess)
+    if guess.firm and most < king.lead + guess.odds[1]:
+        return None
+    local = Local(q, pose, view(sensor, detection, away.trail, q))
+    believed = compose(guess.pose, inverse(pose))
+    if guess.firm:
+        known = float(old.cover(to_world(believed, q[here.lately])).mean())
+        fit = fitted(q, covs, old.points, believed)
+        if (known < KNOWN and not guess.doubted) or _may_stay(king, fit, local, old, guess, most):
+            return None
+    found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
+    rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
+    chosen = clear(weighed(found, local, old, guess), rest, king.lead)
+    if chosen is None or not _is_here(found[chosen], here.lately) or _rivalled(king, found, chosen):
         return None
     fit = found[chosen]
-    return Return(fit, ids, np.where(fit.match >= 0, away.old.ids[fit.match], -1))
+    named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
+    return Return(fit, here.part.ids, named, as_believed(fit, local, old, guess))
+
+
+def _may_stay(king: King, fit: Fit, local: Local, old: Stones, guess: Guess, most: float) -> bool:
+    """Whether what is believed, or `fit` beside it, holds its own against whatever may be elsewhere."""
+    best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
+    return bool(max([bare(local, old, guess), *best]) > most - king.lead)
+
+
+def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:
+    """Whether another place explains the local map nearly as well, and only what it lacks speaks for the one: where the old
+    map has something too much, that says nothing.
+    """
+    return any(fit.gain > king.rival * found[chosen].gain for k, fit in enumerate(found) if k != chosen)
+
+
+def _is_here(fit: Fit, lately: Mask) -> bool:
+    """Whether half of what was seen lately is part of the fit: not only of where the robot was before it was carried."""
+    return bool(2 * np.count_nonzero(fit.match[lately] >= 0) >= max(int(lately.sum()), 1))
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """Nats that speak for a place: by its votes alone, and in all; whether it holds on both sides, and is at home."""
+class Small:
+    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
 
-    gain: float
-    score: float
-    holds: bool
-    home: bool
+    part: Estimate
+    lately: Mask
 
 
-def clear(king: King, verdicts: list[Verdict]) -> int | None:
-    """The place that is good and has no rival, if there is one."""
-    order = sorted(range(len(verdicts)), key=lambda k: -verdicts[k].score)
-    if not order or not verdicts[order[0]].holds:
-        return None
-    best, others = verdicts[order[0]], [verdicts[k] for k in order[1:]]
-    if any(best.score - other.score < king.lead for other in others) or best.score < king.lead:
-        return None
-    alone = best.home or all(other.gain < king.rival * best.gain for other in others)
-    return order[0] if alone else None
-
-
-def judged(king: King, fit: Fit, q: Array, away: Exile, sensor: Sensor) -> Verdict:
-    old, hit = away.old.landmarks, fit.match >= 0
-    both = _covered(to_world(fit.motion, q), old) | hit
-    chance = _seen(sensor, [compose(fit.motion, pose) for pose in thinned(away.trail, POSES)], old) * away.exist
-    due = chance > SURE
-    met = np.zeros(len(old), bool)
-    met[fit.match[hit]] = True
-    missing = due & ~met
-    score = fit.gain + float(np.maximum(np.log1p(-np.minimum(chance[missing], 0.999)), -MISSING).sum())
-    score -= STRANGE * float(np.count_nonzero(both & ~hit))
-    bonus = king.home - 0.5 * _from_home(king, fit, away) if away.believed else 0.0
-    enough = fit.votes >= max(king.votes, king.share * both.sum())
-    holds = bool(enough and (due & met).sum() >= king.share * due.sum())
-    return Verdict(fit.gain, score + max(bonus, 0.0), holds, bonus > 0.0)
-
-
-def thinned(poses: list[Array], wanted: int) -> list[Array]:
-    """Every so many-th pose, the last one among them: `wanted` of them to twice as many, or all."""
-    return poses[:: -max(1, len(poses) // wanted)][::-1]
-
-
-def _from_home(king: King, fit: Fit, away: Exile) -> float:
-    """Squared distance of the pose that the fit gives from the one that was believed, by its covariance times 9."""
-    pose, (metres, radians) = away.trail[-1], king.drift
-    gap = compose(fit.motion, pose) - pose
-    gap[2] = wrap_angle(gap[2])
-    spread = 9.0 * away.old.pose_cov + np.diag([metres, metres, radians]) ** 2
-    return float(gap @ np.linalg.solve(spread, gap))
-
-
-def _covered(points: Array, old: Array) -> Mask:
-    """Points that fall where the old map has landmarks: within twice the usual spacing of one."""
-    from scipy.spatial import cKDTree
-
-    covered: Mask = cKDTree(old).query(points)[0] < 2.0 * float(np.median(spacing(old)))
-    return covered
-
-
-def _seen(sensor: Sensor, poses: Iterable[Array], points: Array) -> Array:
-    """Chance (n,) that each point would have been seen at least once from the poses."""
-    unseen = np.ones(len(points))
-    still = np.full((len(points), 2), 1e-4)
-    for pose in poses:
-        near = np.flatnonzero(np.hypot(*(points - sensor.frame(pose)[:2]).T) < sensor.max_range)
-        if len(near):
-            z_hat = sensor.expect(pose, points[near])[0]
-            unseen[near] *= 1.0 - sensor.in_view(z_hat, still[near]) * sensor.detect
-    return 1.0 - unseen
+def small(here: Estimate, ledger: Ledger, scan: int, scans: int) -> Small:
+    """The map of the last `scans` without single sightings, once there has been time to see what there is again."""
+    again = here.only(np.array([scans < 3 or ledger[i].hits > 1.0 for i in here.ids.tolist()], bool))
+    lately = np.array([ledger[i].seen > scan - LATELY for i in again.ids.tolist()], bool)
+    return Small(again, lately)
 
 
 def pose_home(fit: Fit, pose: Array, cov: Array) -> tuple[Array, Array]:

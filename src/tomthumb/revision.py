@@ -107,10 +107,15 @@ class Revision:
 
 def twin_of(slam: Slam) -> Slam:
     """The loop as it is, to go on by itself: one branch, no king, no revision, a random stream of its own."""
-    twin = copy.copy(slam)
     best = slam.branches[0]
     belief = slam.estimator.fork(best.belief)
-    twin.branches = [replace(best, belief=belief, ledger=copy_ledger(best.ledger), crumbs=set(best.crumbs))]
+    return apart_from(slam, replace(best, belief=belief, ledger=copy_ledger(best.ledger), crumbs=set(best.crumbs)))
+
+
+def apart_from(slam: Slam, branch: Branch) -> Slam:
+    """The loop with this branch alone, which shares nothing with it that changes."""
+    twin = copy.copy(slam)
+    twin.branches = [branch]
     for name in ("clutter", "detection", "surprise", "crowd"):
         setattr(twin, name, copy.deepcopy(getattr(slam, name)))
     twin.rng_estimator, twin.rng_associator = (copy.deepcopy(rng) for rng in (slam.rng_estimator, slam.rng_associator))

@@ -22,7 +22,8 @@ from tomthumb.branches import Branch, Scan
 from tomthumb.constellation import Fit, Within, fits
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, inverse, wrap_angle
-from tomthumb.king import Exile, King, judged, thinned
+from tomthumb.king import Exile
+from tomthumb.places import explained, stones, thinned
 from tomthumb.retrace import Diary, Entry, begun
 from tomthumb.revision import Moment, twin_of
 from tomthumb.types import Array, Estimate, Ids
@@ -228,12 +229,13 @@ def _places(scout: Scout, slam: Slam, mine: Estimate, away: Exile) -> list[Place
     spread = (SLACK * float(np.median(scout.noise))) ** 2 / hits
     found = []
     here, within = _believed(scout, away)
+    old = stones(away.old.landmarks, away.exist)
     for fit in fits(q, spread[:, None, None] * np.eye(2), away.old.landmarks, here, within):
         drift = _drift(scout, fit, away) if fit.votes >= votes else np.inf
         if drift < RIVAL:
             named = away.old.ids[fit.match]
             says = {i: j for i, j, m in zip(ids.tolist(), named.tolist(), fit.match.tolist(), strict=True) if m >= 0}
-            score = judged(King(), fit, q, away, slam.sensor).score
+            score = explained(fit, q, away.trail, slam.sensor, old)
             found.append(Place(compose(fit.motion, away.trail[-1]), says, score, drift))
     return sorted(found, key=lambda place: -place.score)
 
@@ -259,7 +261,7 @@ def _old_map(scout: Scout, slam: Slam, whole: Estimate, since: int) -> Exile:
     old &= np.hypot(*(whole.landmarks - whole.pose[:2]).T) < reach
     part = whole.only(old)
     exist = np.array([home.ledger[i].exist for i in part.ids.tolist()])
-    return Exile(home, part, exist, believed=False)
+    return Exile(home, part, exist)
 
 
 def _believed(scout: Scout, away: Exile) -> tuple[Array, Within]:

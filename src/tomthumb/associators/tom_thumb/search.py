@@ -54,7 +54,7 @@ class TomThumb:
     or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
     to be done at once (0: never). listed: nats behind the best within which all hypotheses of a small scan are summed (0:
     never). hard: mean number of candidates from which a scan is ambiguous and pose basins are searched.
-    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats; at most `size`
+    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats a scan; at most `size`
     landmarks are remembered.
     """
 
@@ -91,7 +91,8 @@ class TomThumb:
         m, n = problem.shape
         if m == 0 or n == 0:
             return [Association(np.full(m, -1, np.int64), info={"proof": "optimal", "nodes": 0}, confidence=np.ones(m))]
-        prior = self.lessons.prior(problem.predictions.ids, problem.t) if self.memory else None
+        # all pairings of a scan say the same, where the robot is: together they may count as one, `clip` nats at most
+        prior = self.lessons.prior(problem.predictions.ids, problem.t) / m if self.memory else None
         own, odds = base_gains(problem, prior)
         near = window(problem.weighed_d2, self.gates[1])
         cov = np.ascontiguousarray(problem.predictions.cov)
