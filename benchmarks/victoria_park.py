@@ -23,6 +23,7 @@ from tomthumb.types import Array, Ids, Scenario, Step, Trace
 
 BEAM = math.radians(0.5)
 SAME, AT_TREE = 0.2, 1.0  # m
+PASS = 20.0  # s
 
 
 def trees(folder: Path, associator: str, purge: float) -> None:
@@ -42,7 +43,22 @@ def trees(folder: Path, associator: str, purge: float) -> None:
     print(
         f"  the {len(missing)} that are missing at the end were seen {np.median(sightings[missing]):.0f} times (median)"
     )
-    print(f"  and carry {100 * share:.1f} % of the labelled sightings", flush=True)
+    print(f"  and carry {100 * share:.1f} % of the labelled sightings")
+    for tree in missing.tolist():
+        print(f"  {missed(trace, true, tree)}", flush=True)
+
+
+def missed(trace: Trace, true: Ids, tree: int) -> str:
+    """How a tree was seen that the final map does not hold: passes are more than PASS s apart."""
+    rows = np.flatnonzero(true == tree)
+    t = np.repeat(trace.t, np.diff(trace.offsets))[rows]
+    names = trace.ids[rows]
+    passes = 1 + np.count_nonzero(np.diff(t) > PASS)
+    known = np.count_nonzero(trace.with_stone[rows])
+    return (
+        f"tree {tree}: {len(rows)} sightings on {passes} passes, under {len(np.unique(names[names >= 0]))} names, "
+        f"{np.count_nonzero(names < 0)} left out, {known} while it was confirmed"
+    )
 
 
 def labels_of(trace: Trace, true: Ids) -> tuple[list[int], int]:
