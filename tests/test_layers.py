@@ -25,7 +25,7 @@ MAY = {
     "lifecycle": BASE | {"appearance", "graves"},
     "sensing": BASE,
     "twins": BASE | {"lifecycle", "sensing"},
-    "returns": BASE | {"branches", "lifecycle"},
+    "returns": BASE | {"branches", "graves", "lifecycle"},
     "slam": BASE
     | {
         "appearance",
