@@ -117,8 +117,9 @@ def line(name: str, associator: str, row: Mapping[str, Any]) -> str:
         return format(value if form == "d" else value * scale, form)
 
     cells = [
-        name, associator, number("match_rate", ".2f", 100.0), number("idf1", ".2f", 100.0), number("purity", ".2f", 100.0),
-        number("duplicates", "d"), number("landmarks", "d"), number("ate_m", ".3f"), number("gps_m", ".2f"), number("real_time", ".1f"), str(row.get("failure") or ""),
+        name, associator, number("match_rate", ".2f", 100.0), number("idf1", ".2f", 100.0),
+        number("purity", ".2f", 100.0), number("duplicates", "d"), number("landmarks", "d"), number("ate_m", ".3f"),
+        number("gps_m", ".2f"), number("real_time", ".1f"), str(row.get("failure") or ""),
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 
