@@ -37,8 +37,8 @@ WORLDS: dict[str, Callable[[np.random.Generator], Scenario]] = {
     "30 people": lambda rng: cloister(rng, laps=2, people=30),
 }
 OTHERWISE: dict[str, list[Any]] = {
-    "window": [100, 150, 300, 400], "sizes": [1, 2, 3], "every": [5, 20], "sure": [10.0, 30.0], "lead": [5.0, 20.0],
-    "drift": [(0.025, 0.0025), (0.1, 0.01)],
+    "window": [100, 300], "sizes": [1, 2], "every": [10], "sure": [10.0, 30.0], "lead": [5.0, 20.0],
+    "drift": [(0.025, 0.0025), (0.1, 0.01)], "tear": [15.0, 100.0, 1e9],
 }  # fmt: skip
 KEYS = ("match_rate", "match_rate_final", "purity", "idf1", "duplicates", "ate_final_m")
 
@@ -63,7 +63,7 @@ def planned(seeds: int) -> Iterator[tuple[str, int, str, dict[str, Any] | None]]
             if (DATA / "dlr_spatial_cognition").is_dir():
                 yield "dlr", 0, associator, changes
     for changes in ({key: value} for key, values in OTHERWISE.items() for value in values):
-        yield from (("ring", seed, "stt", changes) for seed in range(min(seeds, 6)))
+        yield from ((world, seed, "stt", changes) for world in ("ring", "periodic way") for seed in range(min(seeds, 6)))
         if (DATA / "dlr_spatial_cognition").is_dir():
             yield "dlr", 0, "stt", changes
 
