@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 import tomthumb
+from tomthumb.branches import told as branches_told
 from tomthumb.errors import TomThumbError
+from tomthumb.king import King
+from tomthumb.lookout import Keeping
 from tomthumb.metrics.evaluation import evaluate
 from tomthumb.places import thinned
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
+from tomthumb.scout import Scouting
 from tomthumb.types import Control, Step
 from tomthumb.watch import Consistency, Watch
 
@@ -38,7 +42,7 @@ def told(scenario, associator: str = "stt", steps: int | None = None, **settings
 def test_a_kidnapped_robot_comes_home_and_all_names_are_right_again(seed, at, to):
     scenario = jittered(seed, at, to)
     trace, words, _ = told(scenario)
-    home = [k for k, word in words if word in "home"]
+    home = [k for k, word in words if word == "home"]
     assert len(home) == 1
     assert at < home[0] <= at + 20
     gap = np.hypot(*(trace.pose[-1, :2] - scenario.steps[-1].truth.pose[:2]))
@@ -195,3 +199,42 @@ def test_any_scenario_can_be_told_to_kidnap():
     assert taken.info["kidnapped"] == (200, 300)
     with pytest.raises(TomThumbError, match="two steps are wanted"):
         tomthumb.load("cloister", kidnap="200")
+
+
+def test_after_a_recall_what_became_of_landmarks_fits_those_that_are_there():
+    scenario = kidnapped(
+        cloister(np.random.default_rng(6), jitter=0.2, laps=3, people=30, clutter=2.0, detect=0.7), 222, 313
+    )
+    trace, words, slam = told(scenario)
+    assert any(word == "home" for _, word in words)
+    ended = [one for _, one, *_ in branches_told(slam.branches[0])]
+    live = set(slam.estimate().ids.tolist())
+    assert not live & set(ended)
+    named = set(trace.final_ids[trace.final_ids >= 0].tolist())
+    assert named <= live | set(trace.died[:, 0].tolist())
+
+
+def test_in_a_map_that_was_loaded_all_is_old_and_nobody_sets_out():
+    world = cloister(np.random.default_rng(3), jitter=0.2, laps=2)
+    first = tomthumb.run(world)
+    slam = prepare(world, settings={"slam": {"king": True}}, start_map=first.final)
+    out = []
+    for step in list(world.steps)[:40]:
+        slam.step(step.t, step.control, step.observations)
+        out.append(len(slam.court.lookout.walkers))
+    assert max(out) <= 1
+
+
+@pytest.mark.parametrize(
+    ("part", "wrong"),
+    [
+        (King, {"rare": 40.0}),
+        (King, {"every": 0}),
+        (Keeping, {"every": 0}),
+        (Keeping, {"content": 1.5}),
+        (Scouting, {"sizes": 9}),
+    ],
+)
+def test_rules_that_mean_nothing_are_refused_in_a_line(part, wrong):
+    with pytest.raises(TomThumbError, match=next(iter(wrong))):
+        part(**wrong)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tomthumb.branches import Branch
+from tomthumb import court
+from tomthumb.branches import Branch, followed
 from tomthumb.errors import Diverged
 from tomthumb.lifecycle import Life
 from tomthumb.metrics.evaluation import evaluate
-from tomthumb.renaming import _followed, _once
+from tomthumb.renaming import _once
 from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
@@ -103,7 +104,7 @@ def test_no_landmark_is_named_twice_in_one_scan():
 
 
 def test_what_became_of_what_became_of_a_landmark():
-    assert _followed({1: 2, 2: 3, 7: 8}) == {1: 3, 2: 3, 7: 8}
+    assert followed({1: 2, 2: 3, 7: 8}) == {1: 3, 2: 3, 7: 8}
 
 
 def test_the_trail_gone_over_with_the_same_names_leads_to_the_same_place():
@@ -207,3 +208,20 @@ def test_a_memory_longer_than_the_loop_finds_it_by_its_newer_part(window):
     slam.court.scouting = Scouting(window=window, sizes=5)
     row = evaluate(collect("ring", slam, list(slam.stream(scenario.steps))), scenario)
     assert row["idf1"] > 0.95
+
+
+def test_a_refused_loop_leaves_all_as_it_was_and_is_not_tried_at_every_look(monkeypatch):
+    scenario, poses, tried = ring(0), [], []
+    for refusing in (False, True):
+        slam = prepare(
+            scenario, associator="nn", estimator="fastslam", settings=LOOPS | {"estimator": {"particles": 5}}
+        )
+        slam.court.scouting = Scouting(tear=1e-6) if refusing else None
+        if refusing:
+            monkeypatch.setattr(
+                "tomthumb.court.put_right", lambda *a, _put=court.put_right: (tried.append(1), _put(*a))[1]
+            )
+        poses.append(np.array([slam.step(s.t, s.control, s.observations).pose for s in scenario.steps]))
+    assert len(tried) >= 2
+    assert len(tried) <= 4 * 4  # windows, looks
+    np.testing.assert_array_equal(*poses)

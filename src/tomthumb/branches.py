@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ from tomthumb.lifecycle import Ledger
 from tomthumb.protocols import Estimator
 from tomthumb.types import Array, Ids, Observations
 
+CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own frame
 HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 
 
@@ -37,6 +39,36 @@ class Branch:
         """One more scan explained."""
         self.log_weight += log_weight
         self.evidence += log_weight
+
+
+def told(branch: Branch) -> list[tuple[str, int, int, int]]:
+    """What became of the branch's landmarks, in order: "died" or "merged", id, the id it went into (or -1), step."""
+    out, node = [], branch.events
+    while node is not None:
+        node, kind, one, other, step = node
+        out.append((kind, one, other, step))
+    return out[::-1]
+
+
+def merged_into(branch: Branch) -> dict[int, int]:
+    """What each merged landmark of the branch is in the end: a into b and b into c is a into c."""
+    return followed({one: other for kind, one, other, _ in told(branch) if kind == "merged"})
+
+
+def followed(into: Mapping[int, int]) -> dict[int, int]:
+    """Each to its end."""
+
+    def end(i: int) -> int:
+        while i in into:
+            i = into[i]
+        return i
+
+    return {i: end(i) for i in into}
+
+
+def renamed(ids: Ids, into: Mapping[int, int]) -> Ids:
+    """Names (m,) after the change `into`; those that are not in it stay."""
+    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)
 
 
 @dataclass(frozen=True, slots=True)

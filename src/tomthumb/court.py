@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tomthumb.branches import Branch, Scan
+from tomthumb.branches import CERTAIN, Branch, Scan, renamed, told
 from tomthumb.errors import Diverged
 from tomthumb.geometry import compose, rotation
 from tomthumb.king import Exile, King, Return, left_behind, pose_home, small, way_home
@@ -20,14 +20,12 @@ from tomthumb.places import Guess
 from tomthumb.protocols import Estimator, Rng
 from tomthumb.renaming import put_right
 from tomthumb.revision import Moment
-from tomthumb.scout import Scout, Scouting, go_along, look, sent_out, take_notes
+from tomthumb.scout import Scout, Scouting, go_along, look, refuse, sent_out, take_notes
 from tomthumb.types import Array, Estimate, Ids, Mask
 from tomthumb.watch import Consistency, Watch
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
-
-CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own frame
 
 
 @dataclass(slots=True)
@@ -71,15 +69,19 @@ class Court:
         if self.scout is None:
             return {}
         take_notes(self.scout, scan)
-        if slam.scan % self.scout.rules.every or slam.index < slam.teach_steps:
+        if slam.scan % self.scout.rules.every or slam.index < slam.teach_steps or slam.scan < self.scout.rest:
             return {}
+        torn = False
         for found in look(self.scout, slam):
             try:
                 slam.branches = [put_right(self.scout, slam, found)]
             except Diverged:
-                continue  # no filter survives these names: they were wrong
-            self.watch = Watch(since=slam.scan)
+                torn = True  # no filter survives these names: they were wrong
+                continue
+            self.watch, self.scout.refused = Watch(since=slam.scan), 0
             return {"king": "loop", "votes": found.votes, "twins": len(found.same)}
+        if torn:
+            refuse(self.scout)
         return {}
 
     def _follow(self, slam: Slam, scan: Scan) -> dict[str, Any]:
@@ -107,7 +109,7 @@ class Court:
         """
         self.exile, fresh = flee(slam.estimator, branch, slam.index, slam.rng_estimator)
         self.exile.believed = believed
-        slam.branches, self.watch, self.lookout = [fresh], Watch(), Lookout()
+        slam.branches, self.watch, self.lookout = [fresh], Watch(), Lookout(self.lookout.rules)
         self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
 
     def whole(self, here: Estimate) -> Estimate:
@@ -135,7 +137,7 @@ class Court:
             return {}
         slam.branches = [recalled(slam, found)]
         self.scout = slam.revision.older = slam.revision.newest = None  # what they remember ends elsewhere
-        self.lookout, self.watch = Lookout(), Watch(since=slam.scan)
+        self.lookout, self.watch = Lookout(self.lookout.rules), Watch(since=slam.scan)
         return {"king": "home", "votes": found.way.fit.votes}
 
 
@@ -145,11 +147,12 @@ def recalled(slam: Slam, found: Found) -> Branch:
     gone = {i for i, life in home.ledger.items() if life.born >= walker.since.scan} | home.crumbs
     home.belief = slam.estimator.forget(home.belief, np.array(sorted(gone), np.int64))
     home.crumbs = set()
-    for i in sorted(gone):
+    for i in gone:
         del home.ledger[i]
-        if i not in walker.branch.ledger:
-            home.events = (home.events, "died", i, -1, slam.index)
     here = spliced(home, walker, slam.index)
+    ended = {one for _, one, *_ in told(here)}
+    for i in sorted(gone - here.ledger.keys() - ended):
+        here.events = (here.events, "died", i, -1, slam.index)
     return go_home(slam.estimator, found.away, here, found.way, slam.index, slam.scan, slam.policy.hits)
 
 
@@ -184,7 +187,7 @@ def go_home(
         home.events = (home.events, "merged", i, j, index)
     _bring_along(estimator, home, here, way, local, named, index, wanted)
     home.history = _moved_history(here, way.fit.motion, scan - len(away.trail))
-    home.ids, home.paired = (_renamed(ids, named) for ids in (here.ids, here.paired))
+    home.ids, home.paired = (renamed(ids, named) for ids in (here.ids, here.paired))
     return home
 
 
@@ -228,10 +231,6 @@ def _moved_history(here: Branch, motion: Array, since: int) -> Any:
     for _, ids, pose, scan in reversed(nodes):
         node = (node, ids, compose(motion, pose), scan)
     return node
-
-
-def _renamed(ids: Any, named: dict[int, int]) -> Any:
-    return np.array([named.get(i, i) for i in ids.tolist()], np.int64)
 
 
 def both(old: Estimate, here: Estimate) -> Estimate:

@@ -17,6 +17,7 @@ import numpy as np
 
 from tomthumb.branches import Branch
 from tomthumb.constellation import Fit, fits, fitted, perfect
+from tomthumb.errors import TomThumbError
 from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
 from tomthumb.places import (
@@ -52,6 +53,10 @@ class King:
     rival: float = 0.8
     rare: float = 12.0
     every: int = 1
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.rare <= 30.0 and self.lead > 0.0 and 0.0 < self.rival <= 1.0 and self.every >= 1):
+            raise TomThumbError(f"{self}: lead above 0, rival in (0, 1], rare in (0, 30] nats, every at least 1")
 
 
 @dataclass(slots=True)
@@ -101,13 +106,12 @@ def way_home(
     most = most_elsewhere(perfect(q, covs, old.points), old, guess)
     if guess.firm and most < king.lead + guess.odds[1]:
         return None
-    local = Local(q, pose, view(sensor, detection, away.trail, q))
     believed = compose(guess.pose, inverse(pose))
-    if guess.firm:
-        known = float(old.cover(to_world(believed, q[here.lately])).mean())
-        fit = fitted(q, covs, old.points, believed)
-        if (known < KNOWN and not guess.doubted) or _may_stay(king, fit, local, old, guess, most):
-            return None
+    if guess.firm and not guess.doubted and float(old.cover(to_world(believed, q[here.lately])).mean()) < KNOWN:
+        return None
+    local = Local(q, pose, view(sensor, detection, away.trail, q))
+    if guess.firm and _may_stay(king, fitted(q, covs, old.points, believed), local, old, guess, most):
+        return None
     found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
     rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
     chosen = clear(weighed(found, local, old, guess), rest, king.lead)

@@ -12,6 +12,7 @@ from tomthumb.slam import Slam
 from tomthumb.types import Estimate
 
 FIRST = 10**12  # ids of landmarks that were known before: beyond the serial number of any observation
+LONG_AGO = -(2**31)  # the scan in which such a landmark was founded: before anybody's time
 FROZEN_STD = 1e-5  # m, so sure is a frozen map of its landmarks that no observation moves them
 SIGHTINGS = 10.0  # what a saved stone counts for: it is known, and may still turn out to be gone
 
@@ -31,7 +32,7 @@ def start_in(slam: Slam, known: Estimate, frozen: bool = False) -> dict[int, int
     branch = slam.branches[0]
     branch.belief = slam.estimator.place(branch.belief, ids, points, covs)
     for i in ids.tolist():
-        branch.ledger[i] = Life(0, hits=SIGHTINGS, chances=SIGHTINGS, static=slam.policy.hits)
+        branch.ledger[i] = Life(0, hits=SIGHTINGS, chances=SIGHTINGS, static=slam.policy.hits, born=LONG_AGO)
     return dict(zip(known.ids[known.stone].tolist(), ids.tolist(), strict=True))
 
 

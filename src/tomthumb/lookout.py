@@ -12,12 +12,12 @@ import copy
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tomthumb.branches import Branch
-from tomthumb.errors import Diverged
+from tomthumb.branches import CERTAIN, Branch, told
+from tomthumb.errors import Diverged, TomThumbError
 from tomthumb.king import Exile, King, Return, left_behind, small, way_home
 from tomthumb.places import Guess
 from tomthumb.revision import Moment, apart_from
@@ -25,8 +25,6 @@ from tomthumb.types import Array, Control
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
-
-CERTAIN = 1e-12 * np.eye(3)  # a brother's first pose is his map's own frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +39,10 @@ class Keeping:
     life: int = 24
     content: float = 0.8
     long: int = 80
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.every <= self.life and 0.0 <= self.content <= 1.0 and self.long >= 1):
+            raise TomThumbError(f"{self}: every from 1 to life, content in [0, 1], long at least 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,5 +180,17 @@ def spliced(home: Branch, walker: Walker, index: int) -> Branch:
     for _, ids, pose, scan in reversed(nodes[1:]):
         history = (history, ids, pose, scan)
     walker.branch.history = history
-    walker.branch.events = home.events
+    walker.branch.events = _joined(home, walker)
     return walker.branch
+
+
+def _joined(home: Branch, walker: Walker) -> Any:
+    """What became of landmarks: of the old ones as the family has it, of those founded since as the brother has."""
+    young, events = range(walker.since.serial, walker.loop.serial), cast(Any, None)
+    for kind, one, other, step in told(home):
+        if one not in young:  # an old one that went into a young one of the family's is gone with that
+            merged = kind == "merged" and other not in young
+            events = (events, "merged" if merged else "died", one, other if merged else -1, step)
+    for event in told(walker.branch):
+        events = (events, *event)
+    return events

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tomthumb.branches import Branch
+from tomthumb.branches import Branch, followed, merged_into, renamed
 from tomthumb.lifecycle import Ledger, copy_ledger, inherit
 from tomthumb.retrace import retraced
 from tomthumb.scout import Found, Scout, lately, names_of
@@ -22,18 +22,18 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     Raises Diverged if the filter does not survive them.
     """
     home, since = slam.branches[0], found.since
-    into = _followed(_merged(home) | found.same)
+    into = followed(merged_into(home) | found.same)
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = names_of(home, len(scout.diary.entries))
-    names = [_once(_renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
+    names = [_once(renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
     for k, (ids, _) in enumerate(lately(scout, since)):
         his = np.isin(ids, list(mine))
-        names[k] = _once(np.where(his, _renamed(_renamed(ids, found.named), into), names[k]), his)
+        names[k] = _once(np.where(his, renamed(renamed(ids, found.named), into), names[k]), his)
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop in found.same:
         if drop in lives and into[drop] in lives:
             inherit(lives, into[drop], drop)
-    _count(lives, [_renamed(ids, into) for ids in ours], names, slam.scan)
+    _count(lives, [renamed(ids, into) for ids in ours], names, slam.scan)
     fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
     return retraced(slam, scout.diary, names[::-1], fresh | lives, scout.rules.tear)
 
@@ -60,29 +60,3 @@ def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> Non
             lives[i].seen = scan
         for i in set(old[other].tolist()) & lives.keys():
             lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
-
-
-def _merged(branch: Branch) -> dict[int, int]:
-    """What every landmark that is no more was merged into."""
-    into: dict[int, int] = {}
-    node = branch.events
-    while node is not None:
-        node, kind, one, other, _ = node
-        if kind == "merged":
-            into[one] = other
-    return into
-
-
-def _followed(into: dict[int, int]) -> dict[int, int]:
-    """Each to its end: a into b and b into c is a into c."""
-
-    def end(i: int) -> int:
-        while i in into:
-            i = into[i]
-        return i
-
-    return {i: end(i) for i in into}
-
-
-def _renamed(ids: Ids, into: dict[int, int]) -> Any:
-    return np.array([into.get(i, i) for i in ids.tolist()], np.int64)

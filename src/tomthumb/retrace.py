@@ -86,6 +86,7 @@ def _rewritten(history: Any, names: Sequence[Ids], poses: Sequence[Array]) -> An
 def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], tear: float) -> tuple[Any, list[Array]]:
     """The belief at the end, and the pose (3,) after each entry."""
     walker = copy.copy(slam)
+    walker.rng_estimator = copy.deepcopy(slam.rng_estimator)  # if this comes to nothing, nothing has happened
     branch = Branch(slam.estimator.fork(diary.start), {})
     walker.branches, walker.t, walker.last_control = [branch], diary.t, diary.held
     held = set(slam.estimator.estimate(branch.belief).ids.tolist())

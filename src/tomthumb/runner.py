@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tomthumb.branches import Branch
+from tomthumb.branches import Branch, merged_into, renamed, told
 from tomthumb.errors import TomThumbError, UnknownName
 from tomthumb.king import King
 from tomthumb.lifecycle import LifeCycle
@@ -185,7 +185,7 @@ def collect(name: str, slam: Slam, records: list[StepRecord]) -> Trace:
         merged=merged,
         final=final,
         failure=slam.failure,
-        final_ids=_survivors(final_ids, merged),
+        final_ids=renamed(final_ids, merged_into(best)),
         final_pose=final_pose,
         lessons=who.recall(final.ids[final.stone]) if isinstance(who, Learner) else None,
     )
@@ -196,14 +196,9 @@ def _joined(parts: list[Any], dtype: Any) -> Any:
 
 
 def _events(branch: Branch) -> tuple[Ids, Ids]:
-    died, merged, node = [], [], branch.events
-    while node is not None:
-        node, kind, one, other, step = node
-        if kind == "died":
-            died.append((one, step))
-        else:
-            merged.append((one, other, step))
-    return np.array(died[::-1], np.int64).reshape(-1, 2), np.array(merged[::-1], np.int64).reshape(-1, 3)
+    died = [(one, step) for kind, one, _, step in told(branch) if kind == "died"]
+    merged = [(one, other, step) for kind, one, other, step in told(branch) if kind == "merged"]
+    return np.array(died, np.int64).reshape(-1, 2), np.array(merged, np.int64).reshape(-1, 3)
 
 
 def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
@@ -216,17 +211,3 @@ def _history(branch: Branch, steps: int) -> tuple[Ids, Array]:
         ids.append(step_ids)
         poses.append(pose)
     return _joined(ids[::-1], np.int64), np.array(poses[::-1]).reshape(-1, 3)
-
-
-def _survivors(ids: Ids, merged: Ids) -> Ids:
-    """Every id mapped to the landmark it ended up in."""
-    into: dict[int, int] = {}
-    for drop, keep, _ in merged.tolist():
-        into[drop] = keep
-
-    def last(i: int) -> int:
-        while i in into:
-            i = into[i]
-        return i
-
-    return np.array([last(i) for i in ids.tolist()], np.int64)

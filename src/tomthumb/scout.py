@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tomthumb.branches import Branch, Scan
+from tomthumb.branches import CERTAIN, Branch, Scan
 from tomthumb.constellation import Fit, Within, fits
-from tomthumb.errors import Diverged
+from tomthumb.errors import Diverged, TomThumbError
 from tomthumb.geometry import compose, inverse, wrap_angle
 from tomthumb.king import Exile
 from tomthumb.places import explained, stones, thinned
@@ -31,7 +31,6 @@ from tomthumb.types import Array, Estimate, Ids
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
 
-CERTAIN = 1e-12 * np.eye(3)  # the scout's first pose is his map's own frame
 SLACK = 1.5  # how much less exact the scout's map is in itself than its sightings say
 PARTS = 3  # places at most on which parts of the scout's map lie
 RIVAL = 2.0  # as far beyond the allowed drift a place is a rival still, though none to go to
@@ -58,6 +57,12 @@ class Scouting:
     poses: int = 12
     tear: float = 40.0
 
+    def __post_init__(self) -> None:
+        if not (self.window >= 2 ** (self.sizes - 1) >= 1 and min(self.every, self.votes, self.poses) >= 1):
+            raise TomThumbError(f"{self}: window at least 2^(sizes - 1), sizes, every, votes and poses at least 1")
+        if not (min(self.drift) > 0.0 and self.tear > 0.0):
+            raise TomThumbError(f"scout's drift={self.drift}, tear={self.tear}: above 0")
+
     @property
     def windows(self) -> tuple[int, ...]:
         """All that the scout remembers, and the newer part of it: a drift that has just begun shows there first."""
@@ -67,7 +72,8 @@ class Scouting:
 @dataclass(slots=True)
 class Scout:
     """The scout's own loop, the diary since he was sent out at scan `sent`, and by scans: the path (m) and the noise (m) of
-    a sighting. step: m of path since the last scan.
+    a sighting. step: m of path since the last scan. refused: looks in a row whose finds tore the trail; he rests until
+    scan `rest`.
     """
 
     rules: Scouting
@@ -77,6 +83,8 @@ class Scout:
     path: list[float] = field(default_factory=list)
     noise: list[float] = field(default_factory=list)
     step: float = 0.0
+    refused: int = 0
+    rest: int = 0
 
     @property
     def branch(self) -> Branch:
@@ -158,6 +166,12 @@ def _forget(scout: Scout) -> None:
         branch.crumbs.difference_update(gone)
         for i in gone:
             del branch.ledger[i]
+
+
+def refuse(scout: Scout) -> None:
+    """What he found tore the trail: he rests for a look, for two after the next time, ...: each costs as much as the run."""
+    scout.refused += 1
+    scout.rest = scout.loop.scan + scout.rules.every * scout.refused
 
 
 # --- looking ------------------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ def test_small_scans_are_decided_as_by_every_hypothesis():
     for scan in cell:
         found = TomThumb().associate(scan.problem(), np.random.default_rng(1))[0]
         match, whole = bayes(scan.problem(), 12.0)
-        listed += found.info["proof"] == "optimal"
+        listed += "basins" not in found.info  # a listing knows of none
         same += whole and np.array_equal(found.match, match)
         slow = TomThumb(listed=0.0).associate(scan.problem(), np.random.default_rng(1))[0]
         assert np.allclose(found.confidence.mean(), slow.confidence.mean(), atol=0.2)

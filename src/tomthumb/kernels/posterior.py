@@ -336,7 +336,7 @@ def ruin(
 ) -> tuple[Array, float, int]:  # fmt: skip
     """Levy flights inside a basin: take out r related or badly fitting pairs, forbid one of them, complete again.
 
-    r is the flight's length (heavy tail); boots: after `patience` flights in vain, r grows by one (stagnation). A better
+    r is the flight's length (heavy tail); boots: after `patience` flights in vain, r grows by one (stagnation; 0: never). A better
     hypothesis becomes the place to start from. Returns it, its L, and the flights made.
     """
     best, best_value, vain, boots = match.copy(), value, 0, 0
@@ -362,7 +362,7 @@ def ruin(
             best, best_value, vain, boots = found, found_value, 0, 0
         else:
             vain += 1
-            if vain >= patience:
+            if 0 < patience <= vain:
                 boots, vain = boots + 1, 0
     return best, best_value, lengths.shape[0]
 

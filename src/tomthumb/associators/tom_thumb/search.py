@@ -5,7 +5,7 @@
                    all hypotheses that count are listed and summed
     2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
-    4  boots: stagnation makes the ruins larger
+    4  boots: stagnation makes the ruins larger (off by default: they changed nothing, docs/parts.md)
     5  certificate: branch and bound from the incumbent within a budget: "optimal" (award INFINITY), or "truncated"
     6  ambiguity: hypotheses within a few nats live on as brothers
 
@@ -47,21 +47,21 @@ class TomThumb:
     """The STT associator. Every number's reason is in docs/stt.md.
 
     gates: the first, where it is the narrower, chooses the pose basin; the second completes it. nodes: budget of the
-    certificate. flights, patience, exponent: Levy flights in a basin. anchors, basins, poses: anchored flights and their
-    budgets. brothers: hypotheses returned at most (use with `slam.width`), `ambiguity` nats: how far behind the best they may be.
-    least: a pairing less probable than this is left unpaired. decide: "marginal" (most probable partner of each) or "map"
-    (most probable hypothesis). samples: poses drawn, over all basins, to integrate the pose out, when a decision is not `sure`
-    or there are several basins within `reach` nats. quick: nats that every pairing of an unambiguous scan must gain for it
-    to be done at once (0: never). listed: nats behind the best within which all hypotheses of a small scan are summed (0:
-    never). hard: mean number of candidates from which a scan is ambiguous and pose basins are searched.
-    memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats a scan; at most `size`
-    landmarks are remembered.
+    certificate. flights, exponent: Levy flights in a basin; patience: flights in vain before the boots (0: none). anchors,
+    basins, poses: anchored flights and their budgets. brothers: hypotheses returned at most (use with `slam.width`),
+    `ambiguity` nats: how far behind the best they may be. least: a pairing less probable than this is left unpaired. decide:
+    "marginal" (most probable partner of each) or "map" (most probable hypothesis). samples: poses drawn, over all basins, to
+    integrate the pose out, when a decision is not `sure` or there are several basins within `reach` nats. quick: nats that
+    every pairing of an unambiguous scan must gain for it to be done at once (0: never). listed: nats behind the best within
+    which all hypotheses of a small scan are summed (0: never). hard: mean number of candidates from which a scan is ambiguous
+    and pose basins are searched. memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within
+    `clip` nats a scan; at most `size` landmarks are remembered.
     """
 
     gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
     nodes: int = 2000
     flights: int = 60
-    patience: int = 15
+    patience: int = 0
     exponent: float = 1.5
     anchors: int = 15
     basins: int = 12
