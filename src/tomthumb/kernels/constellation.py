@@ -70,6 +70,27 @@ def _beyond(within: Array, x: float, y: float, co: float, si: float) -> bool:
 
 
 @jit
+def _vote(
+    q: Array, spread: Array, gain: Array, rest: Array, points: Array, owner: Array, side: float, west: float,
+    south: float, x: float, y: float, co: float, si: float, floor: float,
+) -> float:  # fmt: skip
+    """What all local points say of a motion; -inf as soon as those that are left cannot lift it above `floor`."""
+    vote = 0.0
+    for i in range(q.shape[0]):
+        if vote + rest[i] <= floor:
+            return -np.inf
+        u, v = co * q[i, 0] - si * q[i, 1] + x, si * q[i, 0] + co * q[i, 1] + y
+        a, b = (u - west) / side, (v - south) / side
+        if a < 0.0 or b < 0.0 or a >= owner.shape[0] or b >= owner.shape[1]:
+            continue
+        j = owner[int(a), int(b)]
+        if j >= 0:
+            d2 = (u - points[j, 0]) ** 2 + (v - points[j, 1]) ** 2
+            vote += max(gain[i] - 0.5 * d2 / (spread[i] * spread[i]), 0.0)
+    return vote
+
+
+@jit
 def search(
     q: Array, spread: Array, gain: Array, anchors: Array, tolerance: Array, points: Array, cell: float, low: Array,
     shape: Array, start: Array, index: Array, apart: Array, within: Array, basins: int, budget: int,
@@ -87,7 +108,6 @@ def search(
     for i in range(k - 1, -1, -1):
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
     owner, side = _field(points, cell, low, shape)
-    west, south = low[0] - cell, low[1] - cell
     tried = 0
     for r in range(anchors.shape[0]):
         a, b = anchors[r, 0], anchors[r, 1]
@@ -116,20 +136,10 @@ def search(
                     ty = py + 0.5 * vy - si * mx - co * my
                     if _beyond(within, tx, ty, co, si):
                         continue
-                    vote, floor = 0.0, votes[basins - 1]
-                    for i in range(k):
-                        if vote + rest[i] <= floor:
-                            vote = -np.inf
-                            break
-                        x = co * q[i, 0] - si * q[i, 1] + tx
-                        y = si * q[i, 0] + co * q[i, 1] + ty
-                        fx, fy = (x - west) / side, (y - south) / side
-                        if fx < 0.0 or fy < 0.0 or fx >= owner.shape[0] or fy >= owner.shape[1]:
-                            continue
-                        j = owner[int(fx), int(fy)]
-                        if j >= 0:
-                            d2 = (x - points[j, 0]) ** 2 + (y - points[j, 1]) ** 2
-                            vote += max(gain[i] - 0.5 * d2 / (spread[i] * spread[i]), 0.0)
+                    floor = votes[basins - 1]
+                    vote = _vote(
+                        q, spread, gain, rest, points, owner, side, low[0] - cell, low[1] - cell, tx, ty, co, si, floor
+                    )
                     if vote > floor:
                         _keep(motions, votes, tx, ty, math.atan2(si, co), vote, apart)
                     if tried >= budget:

@@ -12,7 +12,7 @@ from tomthumb.models.motion import Velocity
 from tomthumb.models.sensor import RangeBearing
 from tomthumb.scenarios.reading import increasing, known, pose_at, read_bytes, table, whole
 from tomthumb.scenarios.timeline import group, steps, timeline
-from tomthumb.types import Array, Observations, Prior, Scenario, Truth
+from tomthumb.types import Array, Ids, Observations, Prior, Scenario, Truth
 
 SUFFIXES = ("", ".xz", ".gz", ".bz2")
 ROBOTS = 5
@@ -62,11 +62,7 @@ def mrclam(
     odometry[:, 0] += delay
     odometry[:, 1] *= speed
     odometry[:, 2] *= turn
-    sightings = _read(folder, f"Robot{robot}_Measurement", 4)
-    codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
-    ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
-    sightings, ids = sightings[ids >= 0], ids[ids >= 0]
-    sightings[:, 2] = _ranges(sightings[:, 2], sightings[:, 3], depth)
+    sightings, ids = _sightings(folder, robot, index, depth)
     truth = _ground_truth(folder, robot)
     start = float(odometry[0, 0] if truth is None else max(odometry[0, 0], truth[0, 0]))
     seen = sightings[:, 0] >= start
@@ -94,6 +90,16 @@ def mrclam(
         landmarks=landmarks,
         info={"file": str(folder), "robot": robot},
     )
+
+
+def _sightings(folder: Path, robot: int, index: dict[int, int], depth: float) -> tuple[Array, Ids]:
+    """Sightings of landmarks (m, 4): time, barcode, range m, bearing rad, and which one each is (m,); no robots."""
+    sightings = _read(folder, f"Robot{robot}_Measurement", 4)
+    codes = whole(sightings[:, 1], folder / f"Robot{robot}_Measurement.dat", "a barcode")
+    ids = np.array([index.get(int(code), -1) for code in codes], np.int64)
+    sightings, ids = sightings[ids >= 0], ids[ids >= 0]
+    sightings[:, 2] = _ranges(sightings[:, 2], sightings[:, 3], depth)
+    return sightings, ids
 
 
 def _check(robot: int, delay: float, turn: float, speed: float, depth: float) -> None:
