@@ -63,7 +63,9 @@ def planned(seeds: int) -> Iterator[tuple[str, int, str, dict[str, Any] | None]]
             if (DATA / "dlr_spatial_cognition").is_dir():
                 yield "dlr", 0, associator, changes
     for changes in ({key: value} for key, values in OTHERWISE.items() for value in values):
-        yield from ((world, seed, "stt", changes) for world in ("ring", "periodic way") for seed in range(min(seeds, 6)))
+        yield from (
+            (world, seed, "stt", changes) for world in ("ring", "periodic way") for seed in range(min(seeds, 6))
+        )
         if (DATA / "dlr_spatial_cognition").is_dir():
             yield "dlr", 0, "stt", changes
 
