@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scan_problems import CLASSES, CLOUD_CLASSES, SECTOR_CLASSES, Scan, scans
@@ -90,9 +91,9 @@ def value(problem: AssociationProblem, match: Ids) -> float:
     return float(value_of(match, problem.innovation, cov, problem.R, own[:, None] + odds[None])[0])
 
 
-def optimum_reached(cell: list[Scan], proven: Outcome) -> tuple[int, int]:
-    """Problems that `map` finished, and where STT's most probable hypothesis has the same L."""
-    part = registry.build("associator", "stt", {"decide": "map"})
+def optimum_reached(cell: list[Scan], proven: Outcome, changes: Mapping[str, Any]) -> tuple[int, int]:
+    """Problems that `map` finished, and where STT's most probable hypothesis has the same L; `changes` of its settings."""
+    part = registry.build("associator", "stt", {"decide": "map", **changes})
     finished = same = 0
     for k, (scan, best) in enumerate(zip(cell, proven.found, strict=True)):
         if best.info["proof"] != "optimal":
@@ -213,7 +214,7 @@ def report(args: argparse.Namespace) -> str:
                 flush=True,
             )
             if "map" in table and "stt" in table:
-                finished, same = optimum_reached(cell, table["map"])
+                finished, same = optimum_reached(cell, table["map"], args.stt)
                 optimum.append(f"| {kind} | {size} | {finished} of {len(cell)} | {same} |")
             if "stt" in table:
                 answers += zip(table["stt"].found, cell, strict=True)
@@ -273,6 +274,12 @@ def write(path: Path, text: str) -> None:
     path.write_text(page[:before] + "\n\n" + text + "\n\n" + page[after:], "utf-8")
 
 
+def changed(text: str) -> dict[str, float]:
+    """Numbers by name; those without a fraction are counts."""
+    pairs = (part.split("=") for part in text.split(","))
+    return {name: float(value) if "." in value else int(value) for name, value in pairs}
+
+
 def main() -> None:
     cli = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     cli.add_argument("--count", type=int, default=50, help="problems in each cell")
@@ -283,6 +290,7 @@ def main() -> None:
     cli.add_argument("--methods", default="nn,gnn,singles,scnn,rjc,clique,jcbb,ipjc,map,stt")
     cli.add_argument("--nodes", type=int, default=20_000, help="budget of jcbb, ipjc and map (0: none)")
     cli.add_argument("--exact", type=int, default=1_000_000, help="the same for sectors of up to 20 observations")
+    cli.add_argument("--stt", type=changed, default={}, help="settings of the most probable set: flights=0,patience=15")
     cli.add_argument("--prefixes", type=int, help="only this, with so many problems")
     cli.add_argument("--write", type=Path, help="page with the markers that the tables stand between")
     args = cli.parse_args()
@@ -295,7 +303,7 @@ def main() -> None:
         text = prefixes(args.prefixes, args.seed) if args.prefixes else report(args)
     if args.write:
         write(args.write, text)
-    elif args.prefixes:
+    else:
         print(text)
 
 

@@ -231,7 +231,7 @@ def test_in_a_map_that_was_loaded_all_is_old_and_nobody_sets_out():
         (King, {"rare": 40.0}),
         (King, {"every": 0}),
         (Keeping, {"every": 0}),
-        (Keeping, {"content": 1.5}),
+        (Keeping, {"content": -0.5}),
         (Scouting, {"sizes": 9}),
     ],
 )

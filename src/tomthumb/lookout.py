@@ -41,8 +41,8 @@ class Keeping:
     long: int = 80
 
     def __post_init__(self) -> None:
-        if not (1 <= self.every <= self.life and 0.0 <= self.content <= 1.0 and self.long >= 1):
-            raise TomThumbError(f"{self}: every from 1 to life, content in [0, 1], long at least 1")
+        if not (1 <= self.every <= self.life and self.content >= 0.0 and self.long >= 1):
+            raise TomThumbError(f"{self}: every from 1 to life, content at least 0, long at least 1")
 
 
 @dataclass(frozen=True, slots=True)
