@@ -30,3 +30,10 @@ class BrokenFile(TomThumbError):
 
 class Diverged(ArithmeticError):
     """The filter has lost the robot: the run ends with this name in its result, never with a crash."""
+
+
+def from_zero(owner: str, part: object, names: str) -> None:
+    """Raises TomThumbError if one of a part's settings (names with spaces between) is below 0 or not a number."""
+    for name in names.split():
+        if not getattr(part, name) >= 0:
+            raise TomThumbError(f"{owner}.{name}={getattr(part, name)}: a number from 0 on")

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.appearance import Crowd, Looks, Weight
+from tomthumb.errors import from_zero
 from tomthumb.graves import Grave
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
@@ -49,6 +50,9 @@ class LifeCycle:
     signature_gate: float = 0.9999
     stray: float = 0.05
     confusion: float = 0.0
+
+    def __post_init__(self) -> None:
+        from_zero("slam", self, "hits few anchors patience purge trial proof chance in_view")
 
     @property
     def apart2(self) -> float:

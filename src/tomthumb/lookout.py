@@ -12,7 +12,7 @@ import copy
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -186,7 +186,8 @@ def spliced(home: Branch, walker: Walker, index: int) -> Branch:
 
 def _joined(home: Branch, walker: Walker) -> Any:
     """What became of landmarks: of the old ones as the family has it, of those founded since as the brother has."""
-    young, events = range(walker.since.serial, walker.loop.serial), cast(Any, None)
+    young = range(walker.since.serial, walker.loop.serial)
+    events: Any = None
     for kind, one, other, step in told(home):
         if one not in young:  # an old one that went into a young one of the family's is gone with that
             merged = kind == "merged" and other not in young

@@ -142,6 +142,10 @@ WRONG = [
     (["explain", "out/nowhere", "--step", "1"], "no such file or folder"),
     (["bench", "--patience", "0"], "Invalid value for '--patience'"),
     (["bench", "--patience", "nan"], "--patience"),
+    (["run", "cloister", "--set", "associator.listed=nan"], "associator.listed="),
+    (["run", "cloister", "--set", "associator.patience=-3"], "associator.patience="),
+    (["run", "cloister", "--set", "slam.chance=-1"], "slam.chance="),
+    (["run", "cloister", "--set", "slam.chance=nan"], "slam.chance="),
 ]
 
 

@@ -25,6 +25,7 @@ from scipy.special import chdtri
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
+from tomthumb.errors import from_zero
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
@@ -83,6 +84,7 @@ class TomThumb:
     lessons: LogMemory = field(default=None, repr=False)  # type: ignore[assignment]  # made below; a copy takes it along
 
     def __post_init__(self) -> None:
+        from_zero("associator", self, "nodes flights patience anchors ambiguity least samples reach quick listed hard")
         if self.lessons is None:
             self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
