@@ -1,0 +1,231 @@
+"""All hypotheses of a scan that count, listed and summed, where the predictions' errors are a common motion plus their own.
+
+C = G G' + blkdiag(D): given the motion u (3,), standard normal beforehand, pairings are independent. So what a set of pairings
+says about u adds up, L = sum of constants + h' A^-1 h / 2 - log det A / 2 with A = I + sum J' V^-1 J, h = sum J' V^-1 nu, and a
+node of the search costs a 3 x 3 system however deep it lies.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tomthumb.kernels.jit import jit
+
+Array = Any
+
+LOG_2PI = math.log(2.0 * math.pi)
+PLACED = 3  # observations that tell where the robot is, one of them to spare: the bound is looked over again from there
+
+
+@jit
+def levers(z_hat: Array, p: Array, Xi: Array, polar: bool) -> Array:
+    """G (2n, 3) = T^-1 B Xi^1/2: what a standard normal motion makes of predictions z_hat (n, 2), at points p (n, 2).
+
+    Xi (3, 3) may be singular: what does not move is not moved.
+    """
+    n, half, G = p.shape[0], np.zeros((3, 3)), np.empty((2 * p.shape[0], 3))
+    for r in range(3):
+        for t in range(r + 1):
+            left = Xi[r, t] - half[r, 0] * half[t, 0] - half[r, 1] * half[t, 1]
+            if t == r:
+                half[r, r] = math.sqrt(max(left, 0.0))
+            elif half[t, t] > 0.0:
+                half[r, t] = left / half[t, t]
+    for j in range(n):
+        for v in range(3):
+            x, y = half[0, v] - p[j, 1] * half[2, v], half[1, v] + p[j, 0] * half[2, v]
+            if polar:
+                c, s = math.cos(z_hat[j, 1]), math.sin(z_hat[j, 1])
+                x, y = c * x + s * y, (c * y - s * x) / z_hat[j, 0]
+            G[2 * j, v], G[2 * j + 1, v] = x, y
+    return G
+
+
+@jit
+def listed(
+    nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array, slack: float, budget: int
+) -> tuple[bool, Array, Array, Array, float, int]:  # fmt: skip
+    """Marginals p (m, n) and none (m,) by summing all hypotheses within `slack` nats of the best; its match, L, and nodes.
+
+    Depth first, observations of few candidates first, the best choice given those before first; `base (m, n)` are the gains
+    of pairings at a perfect fit but for their covariance. The first is False where the budget did not suffice: then the sums
+    are not what they claim.
+    """
+    m, n = base.shape
+    p, none, best, most = np.zeros((m, n)), np.zeros(m), np.full(m, -1, np.int64), -np.inf
+    order = np.argsort(start[1:] - start[:-1], kind="mergesort")
+    good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
+    if not good:
+        return False, p, none, best, most, 0
+    rest, bound = np.zeros((m + 1, m + 1)), 0  # bound: the row of `rest` that holds here
+    _at_best(rest, order, start, worth)
+    known, value, sums = np.zeros((m + 1, 10)), np.zeros(m + 1), np.zeros(m + 1)
+    known[0, 0], known[0, 2], known[0, 5] = 1.0, 1.0, 1.0
+    width = 1 + (start[1:] - start[:-1]).max()
+    choice, gains = np.empty((m, width), np.int64), np.empty((m, width))
+    at, count = np.zeros(m, np.int64), np.zeros(m, np.int64)
+    match, used = np.full(m, -1, np.int64), np.zeros(n, np.bool_)
+    s, nodes, first, floor = 0, 0, 0.0, -np.inf
+    while True:
+        if s < m:  # entered from above
+            i = order[s]
+            if s == PLACED:
+                bound = s
+                _looked_over(rest, s, known, order, nu, G, V, worth, start, columns, used)
+            at[s], sums[s] = 0, 0.0
+            nodes += start[i + 1] - start[i] + 1
+            if nodes > budget:
+                return False, p, none, best, most, nodes
+            count[s] = _choices(
+                choice, gains, s, i, value[s], known, told, start, columns, used, floor - rest[bound, s + 1]
+            )  # fmt: skip
+        else:
+            if most == -np.inf:
+                first = value[m]
+            if value[m] > most:
+                most, floor = value[m], value[m] - slack
+                best[:] = match
+            sums[m] = math.exp(value[m] - first)
+        while s == m or at[s] == count[s] or gains[s, at[s]] + rest[bound, s + 1] <= floor:
+            if s == 0:
+                return True, p / sums[0], none / sums[0], best, most, nodes
+            if s == PLACED:
+                bound = 0
+            s -= 1
+            i = order[s]
+            if match[i] >= 0:
+                p[i, match[i]] += sums[s + 1]
+                used[match[i]] = False
+            else:
+                none[i] += sums[s + 1]
+            sums[s] += sums[s + 1]
+            match[i] = -1
+            at[s] += 1
+        c = choice[s, at[s]]
+        value[s + 1] = gains[s, at[s]]
+        for k in range(10):
+            known[s + 1, k] = known[s, k] + (told[c, k] if c >= 0 else 0.0)
+        if c >= 0:
+            match[order[s]] = columns[c]
+            used[columns[c]] = True
+        s += 1
+
+
+@jit
+def _forms(
+    nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array
+) -> tuple[bool, Array, Array, Array]:
+    """What each listed pairing adds: to A (by rows, lower half), h and the constant (k, 10); its V (k, 3) and gain at a perfect fit.
+
+    False where a V is no covariance.
+    """
+    size = columns.shape[0]
+    told, V, worth = np.empty((size, 10)), np.empty((size, 3)), np.empty(size)
+    for i in range(start.shape[0] - 1):
+        for c in range(start[i], start[i + 1]):
+            j = columns[c]
+            e, f = 2 * j, 2 * j + 1
+            a, b, d = C[e, e] + R[i, 0, 0], C[e, f] + R[i, 0, 1], C[f, f] + R[i, 1, 1]
+            for r in range(3):
+                a, b, d = a - G[e, r] * G[e, r], b - G[e, r] * G[f, r], d - G[f, r] * G[f, r]
+            det = a * d - b * b
+            if not (det > 0.0 and a > 0.0):
+                return False, told, V, worth
+            V[c, 0], V[c, 1], V[c, 2] = a, b, d
+            worth[c] = base[i, j] - 0.5 * math.log(det) - LOG_2PI
+            x, y = (d * nu[i, j, 0] - b * nu[i, j, 1]) / det, (a * nu[i, j, 1] - b * nu[i, j, 0]) / det
+            k = 0
+            for r in range(3):
+                u, v = (d * G[e, r] - b * G[f, r]) / det, (a * G[f, r] - b * G[e, r]) / det
+                for t in range(r + 1):
+                    told[c, k] = u * G[e, t] + v * G[f, t]
+                    k += 1
+                told[c, 6 + r] = G[e, r] * x + G[f, r] * y
+            told[c, 9] = worth[c] - 0.5 * (nu[i, j, 0] * x + nu[i, j, 1] * y)
+    return True, told, V, worth
+
+
+@jit
+def _at_best(rest: Array, order: Array, start: Array, worth: Array) -> None:
+    """rest[0] (m + 1,): what the observations order[s:] could add at perfect fits."""
+    for s in range(order.shape[0] - 1, -1, -1):
+        most = 0.0
+        for c in range(start[order[s]], start[order[s] + 1]):
+            most = max(most, worth[c])
+        rest[0, s] = rest[0, s + 1] + most
+
+
+@jit
+def _choices(
+    choice: Array, gains: Array, s: int, i: int, value: float, known: Array, told: Array, start: Array, columns: Array,
+    used: Array, limit: float,
+) -> int:  # fmt: skip
+    """What observation i can be (c, or -1: nothing), with L then, above `limit`, best first; how many."""
+    choice[s, 0], gains[s, 0] = -1, value
+    count = 1
+    for c in range(start[i], start[i + 1]):
+        if used[columns[c]]:
+            continue
+        gain = _posterior(known, s, told, c)
+        if not gain > limit:
+            continue
+        k = count
+        while k > 0 and gains[s, k - 1] < gain:
+            choice[s, k], gains[s, k] = choice[s, k - 1], gains[s, k - 1]
+            k -= 1
+        choice[s, k], gains[s, k] = c, gain
+        count += 1
+    return count
+
+
+@jit
+def _posterior(known: Array, s: int, told: Array, c: int) -> float:
+    """L = constant + h' A^-1 h / 2 - log det A / 2, of what is known at level s and what pairing c adds."""
+    a00, a10, a11 = known[s, 0] + told[c, 0], known[s, 1] + told[c, 1], known[s, 2] + told[c, 2]
+    a20, a21, a22 = known[s, 3] + told[c, 3], known[s, 4] + told[c, 4], known[s, 5] + told[c, 5]
+    y0 = known[s, 6] + told[c, 6]
+    l10, l20 = a10 / a00, a20 / a00
+    d1, e = a11 - l10 * a10, a21 - l20 * a10
+    l21 = e / d1
+    d2 = a22 - l20 * a20 - l21 * e
+    y1 = known[s, 7] + told[c, 7] - l10 * y0
+    y2 = known[s, 8] + told[c, 8] - l20 * y0 - l21 * y1
+    fit = y0 * y0 / a00 + y1 * y1 / d1 + y2 * y2 / d2
+    return float(known[s, 9] + told[c, 9] + 0.5 * (fit - math.log(a00 * d1 * d2)))
+
+
+@jit
+def _looked_over(
+    rest: Array, s: int, known: Array, order: Array, nu: Array, G: Array, V: Array, worth: Array, start: Array,
+    columns: Array, used: Array,
+) -> None:  # fmt: skip
+    """rest[s, s:], knowing the motion: each may move it as it likes best, for its share of what that costs.
+
+    An upper bound: the cost of one motion for all is not less than the shares' for one each.
+    """
+    m = order.shape[0]
+    a00, a10, a11, a20, a21, a22 = known[s, 0], known[s, 1], known[s, 2], known[s, 3], known[s, 4], known[s, 5]
+    u00, u01, u02 = a11 * a22 - a21 * a21, a21 * a20 - a10 * a22, a10 * a21 - a11 * a20
+    share = (m - s) / (a00 * u00 + a10 * u01 + a20 * u02)
+    u00, u01, u02 = share * u00, share * u01, share * u02
+    u11, u12, u22 = share * (a00 * a22 - a20 * a20), share * (a10 * a20 - a00 * a21), share * (a00 * a11 - a10 * a10)
+    h0, h1, h2 = known[s, 6] / (m - s), known[s, 7] / (m - s), known[s, 8] / (m - s)
+    x0, x1, x2 = u00 * h0 + u01 * h1 + u02 * h2, u01 * h0 + u11 * h1 + u12 * h2, u02 * h0 + u12 * h1 + u22 * h2
+    for t in range(m - 1, s - 1, -1):
+        i, most = order[t], 0.0
+        for c in range(start[i], start[i + 1]):
+            j = columns[c]
+            if used[j] or worth[c] <= most:
+                continue
+            g0, g1, g2, f0, f1, f2 = G[2 * j, 0], G[2 * j, 1], G[2 * j, 2], G[2 * j + 1, 0], G[2 * j + 1, 1], G[2 * j + 1, 2]
+            x, y = nu[i, j, 0] - g0 * x0 - g1 * x1 - g2 * x2, nu[i, j, 1] - f0 * x0 - f1 * x1 - f2 * x2
+            p0, p1, p2 = u00 * g0 + u01 * g1 + u02 * g2, u01 * g0 + u11 * g1 + u12 * g2, u02 * g0 + u12 * g1 + u22 * g2
+            a = V[c, 0] + g0 * p0 + g1 * p1 + g2 * p2
+            b = V[c, 1] + f0 * p0 + f1 * p1 + f2 * p2
+            p0, p1, p2 = u00 * f0 + u01 * f1 + u02 * f2, u01 * f0 + u11 * f1 + u12 * f2, u02 * f0 + u12 * f1 + u22 * f2
+            d = V[c, 2] + f0 * p0 + f1 * p1 + f2 * p2
+            most = max(most, worth[c] - 0.5 * (d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b))
+        rest[s, t] = rest[s, t + 1] + most
