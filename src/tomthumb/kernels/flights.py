@@ -56,23 +56,27 @@ def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, A
     first, second, rank, found = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), 0
     for a in range(m):
         for b in range(a + 1, m):
-            work = float(counts[a]) * float(counts[b])
-            length = math.hypot(q[a, 0] - q[b, 0], q[a, 1] - q[b, 1])
-            if work > 0.0 and length > 3.0 * (sigma[a] + sigma[b]):
-                first[found], second[found], rank[found] = a, b, math.log(work) - 2.0 * math.log(length)
+            work = float(counts[a] * counts[b])
+            square = (q[a, 0] - q[b, 0]) ** 2 + (q[a, 1] - q[b, 1]) ** 2
+            if work > 0.0 and square > 9.0 * (sigma[a] + sigma[b]) ** 2:
+                first[found], second[found], rank[found] = a, b, work / square
                 found += 1
     times, pairs, tolerance, kept = np.zeros(m, np.int64), np.empty((most, 2), np.int64), np.empty(most), 0
-    order, chosen = np.argsort(rank[:found], kind="mergesort"), np.zeros(found, np.bool_)
     for uses in range(1, 4):  # anchors that share no observation first: a false one must not speak twice
-        for k in order:
-            a, b = first[k], second[k]
-            if kept < most and not chosen[k] and times[a] < uses and times[b] < uses:
-                times[a] += 1
-                times[b] += 1
-                pairs[kept, 0], pairs[kept, 1] = a, b
-                tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
-                chosen[k] = True
-                kept += 1
+        while kept < most:
+            best, least = -1, np.inf
+            for k in range(found):
+                if rank[k] < least and times[first[k]] < uses and times[second[k]] < uses:
+                    best, least = k, rank[k]
+            if best < 0:
+                break
+            a, b = first[best], second[best]
+            times[a] += 1
+            times[b] += 1
+            pairs[kept, 0], pairs[kept, 1] = a, b
+            tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
+            rank[best] = np.inf
+            kept += 1
     return pairs[:kept], tolerance[:kept]
 
 

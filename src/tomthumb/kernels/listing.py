@@ -17,7 +17,8 @@ from tomthumb.kernels.jit import jit
 Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
-PLACED = 3  # observations that tell where the robot is, one of them to spare: the bound is looked over again from there
+PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
+MANY = 12  # observations from which that saves more than it costs
 
 
 @jit
@@ -71,10 +72,10 @@ def listed(
     s, nodes, first, floor = 0, 0, 0.0, -np.inf
     while True:
         if s < m:  # entered from above
-            i = order[s]
-            if s == PLACED:
+            if s == PLACED and m >= MANY:
                 bound = s
-                _looked_over(rest, s, known, order, nu, G, V, worth, start, columns, used)
+                _looked_over(rest, order, s, value[s], known, slack, nu, G, told, V, worth, start, columns, used)
+            i = order[s]
             at[s], sums[s] = 0, 0.0
             nodes += start[i + 1] - start[i] + 1
             if nodes > budget:
@@ -199,33 +200,62 @@ def _posterior(known: Array, s: int, told: Array, c: int) -> float:
 
 @jit
 def _looked_over(
-    rest: Array, s: int, known: Array, order: Array, nu: Array, G: Array, V: Array, worth: Array, start: Array,
-    columns: Array, used: Array,
+    rest: Array, order: Array, s: int, value: float, known: Array, slack: float, nu: Array, G: Array, told: Array, V: Array,
+    worth: Array, start: Array, columns: Array, used: Array,
 ) -> None:  # fmt: skip
-    """rest[s, s:], knowing the motion: each may move it as it likes best, for its share of what that costs.
+    """order[s:] and rest[s, s:] again, in place, now that a few pairings tell the motion.
 
-    An upper bound: the cost of one motion for all is not less than the shares' for one each.
+    First the observations whose best choice lies farthest below its bound, by how many choices they have within `slack`: they
+    settle most at least cost.
     """
-    m = order.shape[0]
-    a00, a10, a11, a20, a21, a22 = known[s, 0], known[s, 1], known[s, 2], known[s, 3], known[s, 4], known[s, 5]
-    u00, u01, u02 = a11 * a22 - a21 * a21, a21 * a20 - a10 * a22, a10 * a21 - a11 * a20
-    share = (m - s) / (a00 * u00 + a10 * u01 + a20 * u02)
-    u00, u01, u02 = share * u00, share * u01, share * u02
-    u11, u12, u22 = share * (a00 * a22 - a20 * a20), share * (a10 * a20 - a00 * a21), share * (a00 * a11 - a10 * a10)
-    h0, h1, h2 = known[s, 6] / (m - s), known[s, 7] / (m - s), known[s, 8] / (m - s)
-    x0, x1, x2 = u00 * h0 + u01 * h1 + u02 * h2, u01 * h0 + u11 * h1 + u12 * h2, u02 * h0 + u12 * h1 + u22 * h2
-    for t in range(m - 1, s - 1, -1):
-        i, most = order[t], 0.0
+    m, x, U = order.shape[0], np.empty(3), np.empty((3, 3))
+    _motion(known, s, x, U)
+    urgent, most, gains = np.empty(m), np.empty(m), np.empty(columns.shape[0])
+    for t in range(s, m):
+        i, top, best, choices = order[t], 0.0, 0.0, 0.0
         for c in range(start[i], start[i + 1]):
-            j = columns[c]
-            if used[j] or worth[c] <= most:
-                continue
-            g0, g1, g2, f0, f1, f2 = G[2 * j, 0], G[2 * j, 1], G[2 * j, 2], G[2 * j + 1, 0], G[2 * j + 1, 1], G[2 * j + 1, 2]
-            x, y = nu[i, j, 0] - g0 * x0 - g1 * x1 - g2 * x2, nu[i, j, 1] - f0 * x0 - f1 * x1 - f2 * x2
-            p0, p1, p2 = u00 * g0 + u01 * g1 + u02 * g2, u01 * g0 + u11 * g1 + u12 * g2, u02 * g0 + u12 * g1 + u22 * g2
-            a = V[c, 0] + g0 * p0 + g1 * p1 + g2 * p2
-            b = V[c, 1] + f0 * p0 + f1 * p1 + f2 * p2
-            p0, p1, p2 = u00 * f0 + u01 * f1 + u02 * f2, u01 * f0 + u11 * f1 + u12 * f2, u02 * f0 + u12 * f1 + u22 * f2
-            d = V[c, 2] + f0 * p0 + f1 * p1 + f2 * p2
-            most = max(most, worth[c] - 0.5 * (d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b))
-        rest[s, t] = rest[s, t + 1] + most
+            gains[c] = -np.inf
+            if not used[columns[c]]:
+                gains[c] = _posterior(known, s, told, c) - value
+                best = max(best, gains[c])
+                if worth[c] > top:
+                    top = max(top, worth[c] - _least(nu, i, columns[c], c, G, V, x, U, m - s))
+        for c in range(start[i], start[i + 1]):
+            choices += gains[c] > best - slack
+        urgency, k = (top - best) / (choices + (best < slack)), t
+        while k > s and urgent[k - 1] < urgency:
+            urgent[k], most[k], order[k] = urgent[k - 1], most[k - 1], order[k - 1]
+            k -= 1
+        urgent[k], most[k], order[k] = urgency, top, i
+    rest[s, m] = 0.0
+    for t in range(m - 1, s - 1, -1):
+        rest[s, t] = rest[s, t + 1] + most[t]
+
+
+@jit
+def _motion(known: Array, s: int, x: Array, U: Array) -> None:
+    """Mean x (3,) and covariance U (3, 3) of the motion, by what is known at level s."""
+    a, b, c, d, e, f = known[s, 0], known[s, 1], known[s, 2], known[s, 3], known[s, 4], known[s, 5]
+    U[0, 0], U[1, 1], U[2, 2] = c * f - e * e, a * f - d * d, a * c - b * b
+    U[0, 1], U[0, 2], U[1, 2] = e * d - b * f, b * e - c * d, b * d - a * e
+    U[1, 0], U[2, 0], U[2, 1] = U[0, 1], U[0, 2], U[1, 2]
+    det = a * U[0, 0] + b * U[0, 1] + d * U[0, 2]
+    for r in range(3):
+        x[r] = (U[r, 0] * known[s, 6] + U[r, 1] * known[s, 7] + U[r, 2] * known[s, 8]) / det
+        for t in range(3):
+            U[r, t] /= det
+
+
+@jit
+def _least(nu: Array, i: int, j: int, c: int, G: Array, V: Array, x: Array, U: Array, shares: int) -> float:
+    """The least that pairing c costs, where each of so many may move the motion as it likes for its share of the price.
+
+    d2 / 2 under V + shares J U J'; one motion for all cannot cost less than these together.
+    """
+    u, v, a, b, d = nu[i, j, 0], nu[i, j, 1], V[c, 0], V[c, 1], V[c, 2]
+    for r in range(3):
+        p = shares * (U[r, 0] * G[2 * j, 0] + U[r, 1] * G[2 * j, 1] + U[r, 2] * G[2 * j, 2])
+        q = shares * (U[r, 0] * G[2 * j + 1, 0] + U[r, 1] * G[2 * j + 1, 1] + U[r, 2] * G[2 * j + 1, 2])
+        u, v = u - G[2 * j, r] * x[r], v - G[2 * j + 1, r] * x[r]
+        a, b, d = a + G[2 * j, r] * p, b + G[2 * j, r] * q, d + G[2 * j + 1, r] * q
+    return float(0.5 * (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b))

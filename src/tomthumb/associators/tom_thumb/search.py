@@ -37,8 +37,8 @@ Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predi
 SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
-LONG = 100  # pairings in the window up to which all hypotheses may be listed
-SHORT, SOON = 48, 1000  # the same where the covariance is no rigid motion, and nodes spent on that
+LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
+SHORT, SOON = 48, 1000  # the same where the covariance is no rigid motion: nodes are dearer there
 MANY = 64  # hypotheses that may be listed
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
@@ -150,7 +150,7 @@ class TomThumb:
     def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
         """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
         wanted = self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
-        if not wanted or near.start[-1] > LONG or len(near.start) > SMALL + 1 or self.gates[0] < self.gates[1]:
+        if not wanted or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
             return False
         given = problem.predictions
         if given.pose_cov is None:
@@ -182,7 +182,7 @@ class TomThumb:
         lists = near.start, near.columns
         if scene is not None:
             G = listing.levers(problem.predictions.z_hat, scene.p, scene.Xi, bool(problem.angles))
-            whole, p, none, _best, value, nodes = listing.listed(*given, G, *lists, self.listed, 10 * self.nodes)
+            whole, p, none, _best, value, nodes = listing.listed(*given, G, *lists, self.listed, LATER)
         elif len(near.columns) <= SHORT:
             whole, p, none, _best, value, nodes = posterior.listed(
                 *given, *lists, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
