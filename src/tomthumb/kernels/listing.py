@@ -18,6 +18,7 @@ Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
 PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
+REMAINDER = 0.05  # covariance between two landmarks beside the motion's, over the noise, that is held to be none
 MANY = 12  # observations from which that saves more than it costs
 
 
@@ -53,13 +54,13 @@ def listed(
 
     Depth first, observations of few candidates first, the best choice given those before first; `base (m, n)` are the gains
     of pairings at a perfect fit but for their covariance. The first is False where the budget did not suffice: then the sums
-    are not what they claim.
+    are not what they claim; and where C is no common motion: then nodes are 0.
     """
     m, n = base.shape
     p, none, best, most = np.zeros((m, n)), np.zeros(m), np.full(m, -1, np.int64), -np.inf
     order = np.argsort(start[1:] - start[:-1], kind="mergesort")
     good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
-    if not good:
+    if not good or not _common(C, G, V, columns):
         return False, p, none, best, most, 0
     rest, bound = np.zeros((m + 1, m + 1)), 0  # bound: the row of `rest` that holds here
     _at_best(rest, order, start, worth)
@@ -119,7 +120,7 @@ def listed(
 def _forms(
     nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array
 ) -> tuple[bool, Array, Array, Array]:
-    """What each listed pairing adds: to A (by rows, lower half), h and the constant (k, 10); its V (k, 3) and gain at a perfect fit.
+    """What each listed pairing adds: to A (its lower half by rows), h and the constant (k, 10); its V (k, 3) and gain at d2 = 0.
 
     False where a V is no covariance.
     """
@@ -147,6 +148,31 @@ def _forms(
                 told[c, 6 + r] = G[e, r] * x + G[f, r] * y
             told[c, 9] = worth[c] - 0.5 * (nu[i, j, 0] * x + nu[i, j, 1] * y)
     return True, told, V, worth
+
+
+@jit
+def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
+    """True when G leaves nothing between any two of the listed landmarks that counts beside the noise of one alone.
+
+    The noise is that of a component given the other, the least of all pairings (V): it decides where it is narrow.
+    """
+    least, named = np.full(2, np.inf), np.zeros(C.shape[0] // 2, np.bool_)
+    for c in range(columns.shape[0]):
+        det = V[c, 0] * V[c, 2] - V[c, 1] * V[c, 1]
+        least[0], least[1] = min(least[0], det / V[c, 2]), min(least[1], det / V[c, 0])
+        named[columns[c]] = True
+    some = np.flatnonzero(named)
+    for a in some:
+        for b in some:
+            if b >= a:
+                break
+            for u in range(2):
+                for v in range(2):
+                    r, t = 2 * a + u, 2 * b + v
+                    over = C[r, t] - G[r, 0] * G[t, 0] - G[r, 1] * G[t, 1] - G[r, 2] * G[t, 2]
+                    if over * over > REMAINDER**2 * least[u] * least[v]:
+                        return False
+    return True
 
 
 @jit

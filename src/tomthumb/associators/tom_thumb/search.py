@@ -179,16 +179,14 @@ class TomThumb:
         self, problem: AssociationProblem, scene: Rigid | None, given: Given, near: Window
     ) -> Association | None:  # fmt: skip
         """The decision by the sums over all hypotheses that count; None where they are too many."""
-        lists = near.start, near.columns
+        lists, whole, nodes = (near.start, near.columns), False, 0
         if scene is not None:
             G = listing.levers(problem.predictions.z_hat, scene.p, scene.Xi, bool(problem.angles))
             whole, p, none, _best, value, nodes = listing.listed(*given, G, *lists, self.listed, LATER)
-        elif len(near.columns) <= SHORT:
+        if nodes == 0 and len(near.columns) <= SHORT:
             whole, p, none, _best, value, nodes = posterior.listed(
                 *given, *lists, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
             )
-        else:
-            return None
         if not whole:
             return None
         match, chance = most_probable(p, none, self.least)
