@@ -1,6 +1,6 @@
-"""All hypotheses of a scan that count, listed and summed, where the predictions' errors are a common motion plus their own.
+"""All hypotheses of a scan that count, listed and summed, where the predictions' errors are the robot's pose and their own.
 
-C = G G' + blkdiag(D): given the motion u (3,), standard normal beforehand, pairings are independent. So what a set of pairings
+C = G G' + blkdiag(D): given u (3,), the pose's error made standard normal, pairings are independent. So what a set of them
 says about u adds up, L = sum of constants + h' A^-1 h / 2 - log det A / 2 with A = I + sum J' V^-1 J, h = sum J' V^-1 nu, and a
 node of the search costs a 3 x 3 system however deep it lies.
 """
@@ -18,47 +18,26 @@ Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
 PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
-REMAINDER = 0.05  # covariance between two landmarks beside the motion's, over the noise, that is held to be none
+REMAINDER = 0.05  # covariance between two landmarks beside the pose's, over the noise, that is held to be none
 MANY = 12  # observations from which that saves more than it costs
 
 
 @jit
-def levers(z_hat: Array, p: Array, Xi: Array, polar: bool) -> Array:
-    """G (2n, 3) = T^-1 B Xi^1/2: what a standard normal motion makes of predictions z_hat (n, 2), at points p (n, 2).
-
-    Xi (3, 3) may be singular: what does not move is not moved.
-    """
-    n, half, G = p.shape[0], np.zeros((3, 3)), np.empty((2 * p.shape[0], 3))
-    for r in range(3):
-        for t in range(r + 1):
-            left = Xi[r, t] - half[r, 0] * half[t, 0] - half[r, 1] * half[t, 1]
-            if t == r:
-                half[r, r] = math.sqrt(max(left, 0.0))
-            elif half[t, t] > 0.0:
-                half[r, t] = left / half[t, t]
-    for j in range(n):
-        for v in range(3):
-            x, y = half[0, v] - p[j, 1] * half[2, v], half[1, v] + p[j, 0] * half[2, v]
-            if polar:
-                c, s = math.cos(z_hat[j, 1]), math.sin(z_hat[j, 1])
-                x, y = c * x + s * y, (c * y - s * x) / z_hat[j, 0]
-            G[2 * j, v], G[2 * j + 1, v] = x, y
-    return G
-
-
-@jit
 def listed(
-    nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array, slack: float, budget: int
+    nu: Array, C: Array, R: Array, base: Array, pose_cov: Array, cross: Array, start: Array, columns: Array, slack: float,
+    budget: int,
 ) -> tuple[bool, Array, Array, Array, float, int]:  # fmt: skip
     """Marginals p (m, n) and none (m,) by summing all hypotheses within `slack` nats of the best; its match, L, and nodes.
 
     Depth first, observations of few candidates first, the best choice given those before first; `base (m, n)` are the gains
-    of pairings at a perfect fit but for their covariance. The first is False where the budget did not suffice: then the sums
-    are not what they claim; and where C is no common motion: then nodes are 0.
+    of pairings at a perfect fit but for their covariance, `cross (2n, 3)` is the covariance of predictions and pose. The first
+    is False where the budget did not suffice: then the sums are not what they claim; and where C is not of that form: then
+    nodes are 0.
     """
     m, n = base.shape
     p, none, best, most = np.zeros((m, n)), np.zeros(m), np.full(m, -1, np.int64), -np.inf
     order = np.argsort(start[1:] - start[:-1], kind="mergesort")
+    G = _levers(pose_cov, cross)
     good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
     if not good or not _common(C, G, V, columns):
         return False, p, none, best, most, 0
@@ -117,6 +96,27 @@ def listed(
 
 
 @jit
+def _levers(P: Array, cross: Array) -> Array:
+    """G (2n, 3) = cross P^-1/2: what a standard normal motion of the pose makes of the predictions.
+
+    Where P (3, 3) is singular, what does not move moves nothing.
+    """
+    half, G = np.zeros((3, 3)), np.zeros((cross.shape[0], 3))
+    for r in range(3):
+        for t in range(r + 1):
+            left = P[r, t] - half[r, 0] * half[t, 0] - half[r, 1] * half[t, 1]
+            if t < r and half[t, t] > 0.0:
+                half[r, t] = left / half[t, t]
+            elif t == r and left > 1e-12 * P[r, r]:
+                half[r, r] = math.sqrt(left)
+    for j in range(cross.shape[0]):
+        for r in range(3):
+            if half[r, r] > 0.0:
+                G[j, r] = (cross[j, r] - half[r, 0] * G[j, 0] - half[r, 1] * G[j, 1]) / half[r, r]
+    return G
+
+
+@jit
 def _forms(
     nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array
 ) -> tuple[bool, Array, Array, Array]:
@@ -152,7 +152,7 @@ def _forms(
 
 @jit
 def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
-    """True when G leaves nothing between any two of the listed landmarks that counts beside the noise of one alone.
+    """True when G leaves nothing between any two of the listed landmarks that counts beside the noise of a pairing.
 
     The noise is that of a component given the other, the least of all pairings (V): it decides where it is narrow.
     """

@@ -107,9 +107,7 @@ class TomThumb:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
         hard = self._is_hard(near)
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
-        listable = self._may_be_listed(problem, near)
-        scene = rigid(problem, own, odds) if listable else None
-        listed = self._listed(problem, scene, given, near) if listable else None
+        listed = self._listed(problem, given, near) if self._may_be_listed(problem, near) else None
         if listed is not None:
             return [listed]
         if self.decide == "map":
@@ -122,7 +120,7 @@ class TomThumb:
                 found[0], p, none, 0.0 if not hard else self.sure if proven and len(found) == 1 else 1.1
             ):
                 return self._decided(found, info, p, none)
-        scene = scene or rigid(problem, own, odds)
+        scene = rigid(problem, own, odds)
         if scene is not None:
             return self._over_poses(scene, near, found if proven or not hard else [], info, rng)
         if not found:
@@ -175,14 +173,13 @@ class TomThumb:
         match, chance, free = marginals.pick(p, none, self.least)
         return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
 
-    def _listed(
-        self, problem: AssociationProblem, scene: Rigid | None, given: Given, near: Window
-    ) -> Association | None:  # fmt: skip
+    def _listed(self, problem: AssociationProblem, given: Given, near: Window) -> Association | None:
         """The decision by the sums over all hypotheses that count; None where they are too many."""
         lists, whole, nodes = (near.start, near.columns), False, 0
-        if scene is not None:
-            G = listing.levers(problem.predictions.z_hat, scene.p, scene.Xi, bool(problem.angles))
-            whole, p, none, _best, value, nodes = listing.listed(*given, G, *lists, self.listed, LATER)
+        pose_cov, cross = problem.predictions.pose_cov, problem.predictions.cross
+        if pose_cov is not None and cross is not None:
+            pose = np.ascontiguousarray(pose_cov), np.ascontiguousarray(cross)
+            whole, p, none, _best, value, nodes = listing.listed(*given, *pose, *lists, self.listed, LATER)
         if nodes == 0 and len(near.columns) <= SHORT:
             whole, p, none, _best, value, nodes = posterior.listed(
                 *given, *lists, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
