@@ -113,7 +113,8 @@ def explore(
     pairs of observations, tolerance (a,) m on their distance; candidates of i in columns[start[i]:start[i + 1]]; worth (n,)
     log odds of each point relative to the best. apart (2,): two poses nearer than this (m, rad) are one basin.
     A pose is given up once it cannot come within `behind` nats of the best any more. Stops early when two anchors agree
-    on a basin that leads by 10 nats and explains 60 % of what can be gained.
+    on a basin that leads by 10 nats and explains 60 % of what can be gained; while only one does, those that it explains come
+    first: no others can agree.
     Returns poses (basins, 3), scores (-inf where none), poses tried and anchors used.
     """
     m = q.shape[0]
@@ -124,13 +125,17 @@ def explore(
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
     possible = rest[0]
     support = np.zeros(basins, np.int64)  # anchors that led to each basin
+    turn = np.arange(anchors.shape[0])
     for k in range(anchors.shape[0]):
-        if k >= 2 and support[0] >= 2 and scores[0] > 0.6 * possible and (basins < 2 or scores[0] - scores[1] > 10.0):
-            return poses, scores, tried, k
-        a, b = anchors[k, 0], anchors[k, 1]
+        if scores[0] > 0.6 * possible and (basins < 2 or scores[0] - scores[1] > 10.0):
+            if k >= 2 and support[0] >= 2:
+                return poses, scores, tried, k
+            _bring_forward(turn, k, anchors, poses[0], q, W, gain, points, worth, cell, low, shape, cells, index)
+        at = turn[k]
+        a, b = anchors[at, 0], anchors[at, 1]
         qx, qy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
         q_length = math.sqrt(qx * qx + qy * qy)
-        near, far = max(q_length - tolerance[k], 1e-9), q_length + tolerance[k]
+        near, far = max(q_length - tolerance[at], 1e-9), q_length + tolerance[at]
         touched = np.zeros(basins, np.bool_)
         for ca in range(start[a], start[a + 1]):
             ja = columns[ca]
@@ -160,6 +165,27 @@ def explore(
         for r in range(basins):
             support[r] += touched[r]
     return poses, scores, tried, anchors.shape[0]
+
+
+@jit
+def _bring_forward(
+    turn: Array, k: int, anchors: Array, pose: Array, q: Array, W: Array, gain: Array, points: Array, worth: Array,
+    cell: float, low: Array, shape: Array, cells: Array, index: Array,
+) -> None:  # fmt: skip
+    """Put the first anchor of turn[k:] both of whose observations the pose explains at k, in place; the others follow."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for r in range(k, turn.shape[0]):
+        explained = True
+        for side in range(2):
+            i = anchors[turn[r], side]
+            ox, oy = q[i, 0] - pose[0], q[i, 1] - pose[1]
+            x, y = c * ox + s * oy, -s * ox + c * oy
+            explained &= gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index) > 0.0
+        if explained:
+            first = turn[r]
+            turn[k + 1 : r + 1] = turn[k:r].copy()
+            turn[k] = first
+            return
 
 
 @jit
