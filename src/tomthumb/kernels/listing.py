@@ -29,10 +29,9 @@ def listed(
 ) -> tuple[bool, Array, Array, Array, float, int]:  # fmt: skip
     """Marginals p (m, n) and none (m,) by summing all hypotheses within `slack` nats of the best; its match, L, and nodes.
 
-    Depth first, observations of few candidates first, the best choice given those before first; `base (m, n)` are the gains
-    of pairings at a perfect fit but for their covariance, `cross (2n, 3)` is the covariance of predictions and pose. The first
-    is False where the budget did not suffice: then the sums are not what they claim; and where C is not of that form: then
-    nodes are 0.
+    Depth first, observations of few candidates first, the best choice given those before first. `base (m, n)`: base gains;
+    cross (2n, 3): covariance of predictions and pose. The first is False where the budget did not suffice (then the sums are
+    not what they claim), and where C is not of that form (then nodes are 0).
     """
     m, n = base.shape
     p, none, best, most = np.zeros((m, n)), np.zeros(m), np.full(m, -1, np.int64), -np.inf
@@ -41,14 +40,8 @@ def listed(
     good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
     if not good or not _common(C, G, V, columns):
         return False, p, none, best, most, 0
-    rest, bound = np.zeros((m + 1, m + 1)), 0  # bound: the row of `rest` that holds here
-    _at_best(rest, order, start, worth)
-    known, value, sums = np.zeros((m + 1, 10)), np.zeros(m + 1), np.zeros(m + 1)
-    known[0, 0], known[0, 2], known[0, 5] = 1.0, 1.0, 1.0
-    width = 1 + (start[1:] - start[:-1]).max()
-    choice, gains = np.empty((m, width), np.int64), np.empty((m, width))
-    at, count = np.zeros(m, np.int64), np.zeros(m, np.int64)
-    match, used = np.full(m, -1, np.int64), np.zeros(n, np.bool_)
+    rest, known, value, sums, choice, gains, at, count = _levels(order, start, worth)
+    match, used, bound = np.full(m, -1, np.int64), np.zeros(n, np.bool_), 0  # bound: the row of `rest` that holds here
     s, nodes, first, floor = 0, 0, 0.0, -np.inf
     while True:
         if s < m:  # entered from above
@@ -60,12 +53,10 @@ def listed(
             nodes += start[i + 1] - start[i] + 1
             if nodes > budget:
                 return False, p, none, best, most, nodes
-            count[s] = _choices(
-                choice, gains, s, i, value[s], known, told, start, columns, used, floor - rest[bound, s + 1]
-            )  # fmt: skip
+            limit = floor - rest[bound, s + 1]
+            count[s] = _choices(choice, gains, s, i, value[s], known, told, start, columns, used, limit)
         else:
-            if most == -np.inf:
-                first = value[m]
+            first = value[m] if most == -np.inf else first
             if value[m] > most:
                 most, floor = value[m], value[m] - slack
                 best[:] = match
@@ -73,8 +64,7 @@ def listed(
         while s == m or at[s] == count[s] or gains[s, at[s]] + rest[bound, s + 1] <= floor:
             if s == 0:
                 return True, p / sums[0], none / sums[0], best, most, nodes
-            if s == PLACED:
-                bound = 0
+            bound = 0 if s == PLACED else bound
             s -= 1
             i = order[s]
             if match[i] >= 0:
@@ -176,13 +166,23 @@ def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
 
 
 @jit
-def _at_best(rest: Array, order: Array, start: Array, worth: Array) -> None:
-    """rest[0] (m + 1,): what the observations order[s:] could add at perfect fits."""
-    for s in range(order.shape[0] - 1, -1, -1):
+def _levels(
+    order: Array, start: Array, worth: Array
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """What is kept of each level s: rest, known, L, sums of weights, choices with their L, the one tried, their count.
+
+    rest[0, s]: what the observations order[s:] could add at perfect fits. known[s]: A (lower half by rows), h and the constant.
+    """
+    m, width = order.shape[0], 1 + (start[1:] - start[:-1]).max()
+    rest, known = np.zeros((m + 1, m + 1)), np.zeros((m + 1, 10))
+    known[0, 0], known[0, 2], known[0, 5] = 1.0, 1.0, 1.0
+    for s in range(m - 1, -1, -1):
         most = 0.0
         for c in range(start[order[s]], start[order[s] + 1]):
             most = max(most, worth[c])
         rest[0, s] = rest[0, s + 1] + most
+    choice, gains = np.empty((m, width), np.int64), np.empty((m, width))
+    return rest, known, np.zeros(m + 1), np.zeros(m + 1), choice, gains, np.zeros(m, np.int64), np.zeros(m, np.int64)
 
 
 @jit

@@ -240,7 +240,7 @@ def _from_pose(p: Array, T: Array, pose_cov: Array, cross: Array) -> tuple[bool,
 def _regular(Xi: Array) -> bool:
     """Whether the motion is uncertain in all its directions; whatever the units."""
     a, b, c, d, e, f = Xi[0, 0], Xi[1, 0], Xi[1, 1], Xi[2, 0], Xi[2, 1], Xi[2, 2]
-    return a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d) > 1e-12 * a * c * f
+    return bool(a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d) > 1e-12 * a * c * f)
 
 
 @jit
