@@ -117,17 +117,14 @@ def explore(
     first: no others can agree.
     Returns poses (basins, 3), scores (-inf where none), poses tried and anchors used.
     """
-    m = q.shape[0]
-    poses, scores = np.zeros((basins, 3)), np.full(basins, -np.inf)
-    possible, tried = 0.0, 0
-    rest = np.zeros(m + 1)
-    for i in range(m - 1, -1, -1):
+    poses, scores, tried = np.zeros((basins, 3)), np.full(basins, -np.inf), 0
+    rest = np.zeros(q.shape[0] + 1)  # what the observations from each on can gain
+    for i in range(q.shape[0] - 1, -1, -1):
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
-    possible = rest[0]
     support = np.zeros(basins, np.int64)  # anchors that led to each basin
     turn = np.arange(anchors.shape[0])
     for k in range(anchors.shape[0]):
-        if scores[0] > 0.6 * possible and (basins < 2 or scores[0] - scores[1] > 10.0):
+        if scores[0] > 0.6 * rest[0] and (basins < 2 or scores[0] - scores[1] > 10.0):
             if k >= 2 and support[0] >= 2:
                 return poses, scores, tried, k
             _bring_forward(turn, k, anchors, poses[0], q, W, gain, points, worth, cell, low, shape, cells, index)
