@@ -162,7 +162,7 @@ def ask(walker: Walker, slam: Slam, king: King, doubted: bool) -> Found | None:
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
     guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), doubted)
-    mine = small(here, walker.branch.ledger, slam.scan, len(walker.trail))
+    mine = small(here, walker.branch.ledger, slam.scan)
     way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
     return None if way is None or way.expected else Found(way, walker, away)
 
