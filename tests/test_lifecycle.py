@@ -42,14 +42,6 @@ def test_existence_rises_with_hits_and_falls_with_opportunities():
     assert ledger[1].exist < risen
 
 
-def test_a_stone_is_there_until_it_is_absent_and_a_crumb_as_often_as_it_is_seen():
-    ledger = {0: Life(0, hits=10, chances=20, silence=3.0), 1: Life(0, hits=10, chances=20, silence=9.0)}
-    stones = lifecycle.with_existence(expected([[0, 0], [5, 0]]), ledger, POLICY)
-    assert stones.exist.tolist() == [lifecycle.SURE, ledger[1].exist]
-    crumbs = lifecycle.with_existence(expected([[0, 0], [5, 0]], stone=False), ledger, POLICY)
-    assert crumbs.exist.tolist() == [ledger[0].exist, ledger[1].exist]
-
-
 def test_a_stone_that_ought_to_be_seen_dies_and_a_crumb_fades():
     ledger = {1: Life(0, hits=5, chances=20), 2: Life(0, hits=5, chances=6), 3: Life(0), 4: Life(190)}
     assert lifecycle.deaths(ledger, [1, 2], [3, 4], 200, POLICY).tolist() == [1, 3]

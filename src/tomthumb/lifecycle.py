@@ -17,8 +17,6 @@ from tomthumb.errors import from_zero
 from tomthumb.graves import Grave
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
-SURE = 0.999  # no landmark exists more surely
-
 
 @dataclass(frozen=True, slots=True)
 class LifeCycle:
@@ -97,7 +95,7 @@ class Life:
     @property
     def exist(self) -> float:
         """Probability that there is such a landmark, from its sightings and its opportunities."""
-        return min((self.hits + 0.5) / (self.chances + 1.0), SURE)
+        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
 
 
 Ledger = dict[int, Life]
@@ -108,16 +106,9 @@ def copy_ledger(ledger: Ledger) -> Ledger:
     return {i: replace(life, companions=set(life.companions)) for i, life in ledger.items()}
 
 
-def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) -> Predictions:
-    """The predictions, told how likely each landmark is to be there.
-
-    A stone is, until it is absent (`trial` sightings expected in vain): its share of sightings says how often it is seen, which
-    falls as well where a neighbour is given its sightings. Taken for existence, that gave the neighbour the next ones too.
-    """
-    lives = [ledger[i] for i in predictions.ids.tolist()]
-    stone = np.zeros(len(lives), bool) if predictions.stone is None else predictions.stone
-    there = [SURE if s and life.silence < policy.trial else life.exist for life, s in zip(lives, stone, strict=True)]
-    return replace(predictions, exist=np.array(there, float))
+def with_existence(predictions: Predictions, ledger: Ledger) -> Predictions:
+    """The predictions, told how likely each landmark is to exist."""
+    return replace(predictions, exist=np.array([ledger[int(i)].exist for i in predictions.ids]))
 
 
 def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: int, policy: LifeCycle) -> None:
