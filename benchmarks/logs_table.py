@@ -57,7 +57,7 @@ AMBIGUOUS = ["lost_in_the_woods, 2 m", "lost_in_the_woods, 1 m", *(f"mrclam 7, r
 BROTHERS = {f"{name}, eight brothers": name for name in AMBIGUOUS}  # of STT alone: the others have one answer
 LOGS |= {row: LOGS[name] for row, name in BROTHERS.items()}
 SETTINGS: dict[str, Settings] = {"dlr, with the scout": {"slam": {"loops": True}}}
-SETTINGS |= {row: {"associator": {"brothers": 8}, "slam": {"width": 8}} for row in BROTHERS}
+SETTINGS |= {row: {"associator": {"brothers": 8}, "slam": {"width": 8, "present": True}} for row in BROTHERS}
 BEGIN, END = "<!-- table: benchmarks/logs_table.py -->", "<!-- end of table -->"
 HEAD = "| log | associator | match rate % | IDF1 % | purity % | duplicates | landmarks | ATE m | GPS m | x real time | failure |"
 
