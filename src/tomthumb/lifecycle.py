@@ -18,6 +18,8 @@ from tomthumb.graves import Grave
 from tomthumb.stillness import Drift
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
+SURE = 0.999  # no landmark exists more surely
+
 
 @dataclass(frozen=True, slots=True)
 class LifeCycle:
@@ -30,6 +32,8 @@ class LifeCycle:
     `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
     places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
+    present: associators hold that a stone exists until `trial` sightings were expected in vain. Its share of sightings, else
+    taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next ones too.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
     """
@@ -46,6 +50,7 @@ class LifeCycle:
     chance: float = 0.1
     in_view: float = 0.9
     merge: bool = True
+    present: bool = False
     reference: bool = False
     signature: str = "off"
     signature_gate: float = 0.9999
@@ -97,7 +102,7 @@ class Life:
     @property
     def exist(self) -> float:
         """Probability that there is such a landmark, from its sightings and its opportunities."""
-        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
+        return min((self.hits + 0.5) / (self.chances + 1.0), SURE)
 
 
 Ledger = dict[int, Life]
@@ -108,9 +113,14 @@ def copy_ledger(ledger: Ledger) -> Ledger:
     return {i: replace(life, companions=set(life.companions)) for i, life in ledger.items()}
 
 
-def with_existence(predictions: Predictions, ledger: Ledger) -> Predictions:
-    """The predictions, told how likely each landmark is to exist."""
-    return replace(predictions, exist=np.array([ledger[int(i)].exist for i in predictions.ids]))
+def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) -> Predictions:
+    """The predictions, told how likely each landmark is to exist; with `present` stones do until they are absent."""
+    lives = [ledger[i] for i in predictions.ids.tolist()]
+    exist = np.array([life.exist for life in lives], float)
+    if policy.present and predictions.stone is not None:
+        absent = np.array([life.silence >= policy.trial for life in lives], bool)
+        exist[predictions.stone & ~absent] = SURE
+    return replace(predictions, exist=exist)
 
 
 def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: int, policy: LifeCycle) -> None:

@@ -197,7 +197,7 @@ class Slam:
             learned = self.detection.chance(predictions.points) / self.detection.prior
             predictions = replace(predictions, visible=np.minimum(predictions.visible * learned, 0.999))
         known = (ledger[int(i)].looks for i in predictions.ids)
-        return with_looks(lifecycle.with_existence(predictions, ledger), known, self.crowd)
+        return with_looks(lifecycle.with_existence(predictions, ledger, self.policy), known, self.crowd)
 
     def _fork(self, branch: Branch) -> Branch:
         belief, ledger = self.estimator.fork(branch.belief), lifecycle.copy_ledger(branch.ledger)
