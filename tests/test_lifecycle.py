@@ -42,6 +42,15 @@ def test_existence_rises_with_hits_and_falls_with_opportunities():
     assert ledger[1].exist < risen
 
 
+def test_with_present_a_stone_is_there_until_it_is_absent_and_a_crumb_as_often_as_it_is_seen():
+    ledger = {0: Life(0, hits=10, chances=20, silence=3.0), 1: Life(0, hits=10, chances=20, silence=9.0)}
+    share, two = ledger[0].exist, [[0, 0], [5, 0]]
+    told = [lifecycle.with_existence(expected(two), ledger, LifeCycle(present=p)).exist for p in (False, True)]
+    assert [t.tolist() for t in told] == [[share, share], [lifecycle.SURE, share]]
+    crumbs = lifecycle.with_existence(expected(two, stone=False), ledger, LifeCycle(present=True))
+    assert crumbs.exist.tolist() == [share, share]
+
+
 def test_a_stone_that_ought_to_be_seen_dies_and_a_crumb_fades():
     ledger = {1: Life(0, hits=5, chances=20), 2: Life(0, hits=5, chances=6), 3: Life(0), 4: Life(190)}
     assert lifecycle.deaths(ledger, [1, 2], [3, 4], 200, POLICY).tolist() == [1, 3]

@@ -15,7 +15,10 @@ from scipy.special import chdtri
 from tomthumb.appearance import Crowd, Looks, Weight
 from tomthumb.errors import from_zero
 from tomthumb.graves import Grave
+from tomthumb.stillness import Drift
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
+
+SURE = 0.999  # no landmark exists more surely
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +32,8 @@ class LifeCycle:
     `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
     places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
+    present: associators hold that a stone exists until `trial` sightings were expected in vain. Its share of sightings, else
+    taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next ones too.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
     """
@@ -45,6 +50,7 @@ class LifeCycle:
     chance: float = 0.1
     in_view: float = 0.9
     merge: bool = True
+    present: bool = False
     reference: bool = False
     signature: str = "off"
     signature_gate: float = 0.9999
@@ -76,7 +82,7 @@ class Life:
     `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
     returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
     point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan. visits: last scans
-    of earlier stays there.
+    of earlier stays there. drift: whether it stands still, while it is a crumb.
     """
 
     seen: int
@@ -91,11 +97,12 @@ class Life:
     place: tuple[Array, Array] | None = None
     apart: dict[int, float] = field(default_factory=dict)
     visits: tuple[int, ...] = ()
+    drift: Drift = field(default_factory=Drift)
 
     @property
     def exist(self) -> float:
         """Probability that there is such a landmark, from its sightings and its opportunities."""
-        return min((self.hits + 0.5) / (self.chances + 1.0), 0.999)
+        return min((self.hits + 0.5) / (self.chances + 1.0), SURE)
 
 
 Ledger = dict[int, Life]
@@ -106,9 +113,14 @@ def copy_ledger(ledger: Ledger) -> Ledger:
     return {i: replace(life, companions=set(life.companions)) for i, life in ledger.items()}
 
 
-def with_existence(predictions: Predictions, ledger: Ledger) -> Predictions:
-    """The predictions, told how likely each landmark is to exist."""
-    return replace(predictions, exist=np.array([ledger[int(i)].exist for i in predictions.ids]))
+def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) -> Predictions:
+    """The predictions, told how likely each landmark is to exist; with `present` stones do until they are absent."""
+    lives = [ledger[i] for i in predictions.ids.tolist()]
+    exist = np.array([life.exist for life in lives], float)
+    if policy.present and predictions.stone is not None:
+        absent = np.array([life.silence >= policy.trial for life in lives], bool)
+        exist[predictions.stone & ~absent] = SURE
+    return replace(predictions, exist=exist)
 
 
 def record_hits(ledger: Ledger, ids: Iterable[int], d2: Iterable[float], scan: int, policy: LifeCycle) -> None:
@@ -158,11 +170,18 @@ def record_looks(ledger: Ledger, ids: Iterable[int], seen: Observations, rows: I
 
 
 def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
-    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
+    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet.
+
+    One that drifts (outside the gate) begins its trial anew.
+    """
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
     ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
-    return np.array(ready, np.int64)
+    gate2 = chdtri(2, 1.0 - policy.gate)
+    moving = [] if policy.reference else [i for i in ready if ledger[i].drift.d2 >= gate2]
+    for i in moving:
+        ledger[i].static, ledger[i].drift = 1, Drift()
+    return np.array([i for i in ready if i not in moving], np.int64)
 
 
 def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: int, policy: LifeCycle) -> Ids:

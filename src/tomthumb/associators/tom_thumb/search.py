@@ -38,8 +38,8 @@ SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
-SHORT, SOON = 48, 1000  # the same where landmarks err together even given the pose: nodes are dearer there
-MANY = 64  # hypotheses that may be listed then
+SHORT, SOON = 64, 4000  # the same where landmarks err together even given the pose: nodes are dearer there
+MANY = 256  # hypotheses that may be listed then
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -153,7 +153,8 @@ class TomThumb:
         given = problem.predictions
         if given.pose_cov is None:
             return False
-        return bool(posterior.bent(given.z_hat, given.cov, problem.R, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
+        shape = problem.z, problem.R, given.z_hat, given.cov
+        return bool(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
