@@ -117,7 +117,7 @@ def test_one_that_drifts_begins_its_trial_anew() -> None:
     assert promotions({2: walker}, [2], policy.anchors, False, policy).size == 0
 
 
-def test_the_reference_rules_know_no_drift() -> None:
-    policy = LifeCycle().faithful()
-    walker = Life(0, drift=Drift(np.array([9.0, 0.0]), 1.0))
+@pytest.mark.parametrize("policy", [LifeCycle().faithful(), LifeCycle(still=0.0)])
+def test_who_does_not_ask_lets_walkers_pass(policy: LifeCycle) -> None:
+    walker = Life(0, hits=6, chances=6, static=6, drift=Drift(np.array([9.0, 0.0]), 1.0))
     np.testing.assert_array_equal(promotions({2: walker}, [2], 5, False, policy), [2])

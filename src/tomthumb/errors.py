@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 
 
@@ -32,8 +33,9 @@ class Diverged(ArithmeticError):
     """The filter has lost the robot: the run ends with this name in its result, never with a crash."""
 
 
-def from_zero(owner: str, part: object, names: str) -> None:
-    """Raises TomThumbError if one of a part's settings (names with spaces between) is below 0 or not a number."""
+def from_zero(owner: str, part: object, names: str, most: float = math.inf) -> None:
+    """Raises TomThumbError if one of a part's settings (names with spaces between) is not a number between 0 and `most`."""
+    wanted = "a number from 0 on" if math.isinf(most) else f"a number from 0 to {most:g}"
     for name in names.split():
-        if not getattr(part, name) >= 0:
-            raise TomThumbError(f"{owner}.{name}={getattr(part, name)}: a number from 0 on")
+        if not 0 <= getattr(part, name) <= most:
+            raise TomThumbError(f"{owner}.{name}={getattr(part, name)}: {wanted}")

@@ -27,7 +27,8 @@ class LifeCycle:
 
     hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
-    gate: a sighting within it is static. apart: an observation outside it of every free landmark may found a new one.
+    gate: a sighting within it is static. still: a crumb whose sightings drift outside this gate begins its trial anew (0: never
+    asked). apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
     `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
     places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
@@ -43,6 +44,7 @@ class LifeCycle:
     anchors: int = 2
     patience: int = 100
     gate: float = 0.99
+    still: float = 0.99
     apart: float = 0.9999
     purge: float = 0.35
     trial: int = 8
@@ -58,7 +60,8 @@ class LifeCycle:
     confusion: float = 0.0
 
     def __post_init__(self) -> None:
-        from_zero("slam", self, "hits few anchors patience purge trial proof chance in_view")
+        from_zero("slam", self, "hits few anchors patience trial proof chance")
+        from_zero("slam", self, "gate still apart purge in_view", 1.0)
 
     @property
     def apart2(self) -> float:
@@ -172,13 +175,14 @@ def record_looks(ledger: Ledger, ids: Iterable[int], seen: Observations, rows: I
 def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
     """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet.
 
-    One that drifts (outside the gate) begins its trial anew.
+    One that drifts (outside the gate `still`) begins its trial anew.
     """
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
     ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
-    gate2 = chdtri(2, 1.0 - policy.gate)
-    moving = [] if policy.reference else [i for i in ready if ledger[i].drift.d2 >= gate2]
+    asked = policy.still > 0.0 and not policy.reference
+    gate2 = chdtri(2, 1.0 - policy.still) if asked else np.inf
+    moving = [i for i in ready if ledger[i].drift.d2 >= gate2]
     for i in moving:
         ledger[i].static, ledger[i].drift = 1, Drift()
     return np.array([i for i in ready if i not in moving], np.int64)

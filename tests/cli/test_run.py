@@ -145,6 +145,7 @@ WRONG = [
     (["run", "cloister", "--set", "associator.listed=nan"], "associator.listed="),
     (["run", "cloister", "--set", "associator.patience=-3"], "associator.patience="),
     (["run", "cloister", "--set", "slam.chance=-1"], "slam.chance="),
+    (["run", "cloister", "--set", "slam.still=1.5"], "slam.still=1.5: a number from 0 to 1"),
     (["run", "cloister", "--set", "slam.chance=nan"], "slam.chance="),
 ]
 
