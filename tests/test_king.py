@@ -10,7 +10,8 @@ import pytest
 import tomthumb
 from tomthumb.branches import told as branches_told
 from tomthumb.errors import TomThumbError
-from tomthumb.king import King
+from tomthumb.king import King, small
+from tomthumb.lifecycle import Life
 from tomthumb.lookout import Keeping
 from tomthumb.metrics.evaluation import evaluate
 from tomthumb.places import thinned
@@ -18,7 +19,7 @@ from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
 from tomthumb.scout import Scouting
-from tomthumb.types import Control, Step
+from tomthumb.types import Control, Estimate, Step
 from tomthumb.watch import Consistency, Watch
 
 KING = {"slam": {"king": True}}
@@ -132,6 +133,15 @@ def test_a_long_trail_is_thinned_and_keeps_its_end(count):
     assert min(count, 40) <= len(some) < 80
     assert len(set(np.diff(some))) <= 1
     assert count >= 80 or some == list(range(count))
+
+
+def test_what_was_seen_once_is_part_of_the_small_map():
+    rows = np.arange(4)
+    here = Estimate(np.zeros(3), np.eye(3), rows, np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1)), np.ones(4, bool))
+    ledger = {i: Life(seen=seen, hits=hits) for i, seen, hits in ((0, 3, 9.0), (1, 9, 1.0), (2, 10, 4.0), (3, 4, 1.0))}
+    mine = small(here, ledger, scan=10)
+    assert mine.part.ids.tolist() == [0, 1, 2, 3]
+    assert mine.lately.tolist() == [False, True, True, False]
 
 
 def test_to_be_lost_needs_a_map():

@@ -192,6 +192,10 @@ def test_names_with_which_the_trail_tears_are_not_taken():
     late[np.flatnonzero(late >= 0)[0]] = early  # one wrong name, from the other end of the ring
     with pytest.raises(Diverged, match="tears"):
         retraced(slam, diary, names, lives, tear=20.0)
+    nobodys = [np.zeros(len(ids), bool) for ids in names]
+    again = retraced(slam, diary, names, lives, tear=20.0, claimed=nobodys)  # that one pair is refuted and left out
+    (pose, cov), (other, _) = (slam.estimator.pose(b.belief) for b in (slam.branches[0], again))
+    assert (other - pose) @ np.linalg.solve(cov, other - pose) < 9.0
 
 
 def test_two_stretches_laid_on_one_contradict_each_other():

@@ -123,7 +123,7 @@ class Court:
             return {"king": "away"}
         now = slam.estimator.estimate(here.belief)
         guess = Guess(now.pose, away.old.pose_cov, 0.5 if away.believed else 0.0)
-        mine = small(now, here.ledger, slam.scan, len(away.trail))
+        mine = small(now, here.ledger, slam.scan)
         way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
         if way is None:
             return {"king": "away"}

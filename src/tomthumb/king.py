@@ -148,11 +148,11 @@ class Small:
     lately: Mask
 
 
-def small(here: Estimate, ledger: Ledger, scan: int, scans: int) -> Small:
-    """The map of the last `scans` without single sightings, once there has been time to see what there is again."""
-    again = here.only(np.array([scans < 3 or ledger[i].hits > 1.0 for i in here.ids.tolist()], bool))
-    lately = np.array([ledger[i].seen > scan - LATELY for i in again.ids.tolist()], bool)
-    return Small(again, lately)
+def small(here: Estimate, ledger: Ledger, scan: int) -> Small:
+    """The map of the time away after that scan. What was seen once is part of it: a sensor that sees one in three has seen
+    much of it once, and what is not there is weighed as a stranger (`places`).
+    """
+    return Small(here, np.array([ledger[i].seen > scan - LATELY for i in here.ids.tolist()], bool))
 
 
 def pose_home(fit: Fit, pose: Array, cov: Array) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from scipy.special import chdtri
 from tomthumb.appearance import Crowd, Looks, Weight
 from tomthumb.errors import from_zero
 from tomthumb.graves import Grave
+from tomthumb.stillness import Drift
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 SURE = 0.999  # no landmark exists more surely
@@ -81,7 +82,7 @@ class Life:
     `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
     returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
     point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan. visits: last scans
-    of earlier stays there.
+    of earlier stays there. drift: whether it stands still, while it is a crumb.
     """
 
     seen: int
@@ -96,6 +97,7 @@ class Life:
     place: tuple[Array, Array] | None = None
     apart: dict[int, float] = field(default_factory=dict)
     visits: tuple[int, ...] = ()
+    drift: Drift = field(default_factory=Drift)
 
     @property
     def exist(self) -> float:
@@ -168,11 +170,18 @@ def record_looks(ledger: Ledger, ids: Iterable[int], seen: Observations, rows: I
 
 
 def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
-    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet."""
+    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet.
+
+    One that drifts (outside the gate) begins its trial anew.
+    """
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
     ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
-    return np.array(ready, np.int64)
+    gate2 = chdtri(2, 1.0 - policy.gate)
+    moving = [] if policy.reference else [i for i in ready if ledger[i].drift.d2 >= gate2]
+    for i in moving:
+        ledger[i].static, ledger[i].drift = 1, Drift()
+    return np.array([i for i in ready if i not in moving], np.int64)
 
 
 def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: int, policy: LifeCycle) -> Ids:

@@ -21,7 +21,7 @@ from tomthumb.errors import Diverged, TomThumbError
 from tomthumb.king import Exile, King, Return, left_behind, small, way_home
 from tomthumb.places import Guess
 from tomthumb.revision import Moment, apart_from
-from tomthumb.types import Array, Control
+from tomthumb.types import Array, Control, Estimate
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -118,8 +118,11 @@ class Lookout:
         if self._discontent():
             self._set_out(slam)
         self.walkers = [walker for walker in self.walkers if len(walker.trail) <= self.rules.life]
+        if not self.walkers:
+            return None
+        whole = slam.estimator.estimate(slam.branches[0].belief)
         for walker in self.walkers:
-            found = ask(walker, slam, king, doubted)
+            found = ask(walker, slam, king, whole, doubted)
             if found is not None:
                 return found
         return None
@@ -153,16 +156,15 @@ def _loop(slam: Slam, since: Note) -> Slam:
     return loop
 
 
-def ask(walker: Walker, slam: Slam, king: King, doubted: bool) -> Found | None:
-    """The place that a brother has found, if it is another one than the family believes."""
+def ask(walker: Walker, slam: Slam, king: King, whole: Estimate, doubted: bool) -> Found | None:
+    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes."""
     home = slam.branches[0]
-    whole = slam.estimator.estimate(home.belief)
     old = np.array([home.ledger[i].born < walker.since.scan for i in whole.ids.tolist()], bool)
     away = left_behind(home, whole.only(old))
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
     guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), doubted)
-    mine = small(here, walker.branch.ledger, slam.scan, len(walker.trail))
+    mine = small(here, walker.branch.ledger, slam.scan)
     way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
     return None if way is None or way.expected else Found(way, walker, away)
 

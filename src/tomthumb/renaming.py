@@ -19,23 +19,27 @@ if TYPE_CHECKING:
 def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     """The family's branch as it would be, had it had the scout's names; its landmarks younger than them are his now.
 
-    Raises Diverged if the filter does not survive them.
+    He is judged by his own names only: of the family's, some were given from a wrong pose. Raises Diverged if the filter
+    does not survive his.
     """
     home, since = slam.branches[0], found.since
-    into = followed(merged_into(home) | found.same)
+    before = merged_into(home)
+    into = followed(before | found.same)
     mine = {i for i, life in scout.branch.ledger.items() if life.born > since} | set(found.named)
     ours = names_of(home, len(scout.diary.entries))
     names = [_once(renamed(ids, into), ~np.isin(ids, list(into))) for ids in ours]
+    claimed = [np.isin(renamed(ids, before), list(found.same)) for ids in ours]
     for k, (ids, _) in enumerate(lately(scout, since)):
         his = np.isin(ids, list(mine))
         names[k] = _once(np.where(his, renamed(renamed(ids, found.named), into), names[k]), his)
+        claimed[k] = his
     lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
     for drop in found.same:
         if drop in lives and into[drop] in lives:
             inherit(lives, into[drop], drop)
     _count(lives, [renamed(ids, into) for ids in ours], names, slam.scan)
     fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
-    return retraced(slam, scout.diary, names[::-1], fresh | lives, scout.rules.tear)
+    return retraced(slam, scout.diary, names[::-1], fresh | lives, scout.rules.tear, claimed[::-1])
 
 
 def _once(ids: Ids, first: Mask) -> Ids:

@@ -18,8 +18,9 @@ import numpy as np
 from tomthumb.branches import Branch, Scan
 from tomthumb.errors import Diverged
 from tomthumb.graves import Graveyard
+from tomthumb.kernels.gates import paired_distances
 from tomthumb.lifecycle import Life
-from tomthumb.types import Array, Control, Ids
+from tomthumb.types import Array, Control, Ids, Mask, Predictions
 from tomthumb.watch import Consistency
 
 if TYPE_CHECKING:
@@ -51,14 +52,22 @@ def begun(slam: Slam) -> Diary:
 
 
 def retraced(
-    slam: Slam, diary: Diary, names: Sequence[Ids], lives: Mapping[int, Life], tear: float = math.inf
+    slam: Slam,
+    diary: Diary,
+    names: Sequence[Ids],
+    lives: Mapping[int, Life],
+    tear: float = math.inf,
+    claimed: Sequence[Mask] | None = None,
 ) -> Branch:
     """The best branch after all entries of the diary with each entry's `names`; `lives` are the landmarks it will hold.
 
     Landmarks are founded as stones when they are first named; names without a life are passed over. Raises Diverged if the
     filter does not survive the names, or if the NIS of ten scans is `tear` standard deviations above what it should be.
+    `claimed`: masks (m,) of the names that are to be judged by that; of the others, given scan by scan, those that the
+    trail refutes are left out (None: all are judged).
     """
-    belief, poses = _filtered(slam, diary, names, set(lives), tear)
+    claimed = [np.ones(len(ids), bool) for ids in names] if claimed is None else claimed
+    belief, poses = _filtered(slam, diary, names, set(lives), tear, claimed)
     best = slam.branches[0]
     held = set(slam.estimator.estimate(belief).ids.tolist())
     ledger = {i: life for i, life in lives.items() if i in held}
@@ -83,7 +92,9 @@ def _rewritten(history: Any, names: Sequence[Ids], poses: Sequence[Array]) -> An
     return history
 
 
-def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], tear: float) -> tuple[Any, list[Array]]:
+def _filtered(
+    slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], tear: float, claimed: Sequence[Mask]
+) -> tuple[Any, list[Array]]:
     """The belief at the end, and the pose (3,) after each entry."""
     walker = copy.copy(slam)
     walker.rng_estimator = copy.deepcopy(slam.rng_estimator)  # if this comes to nothing, nothing has happened
@@ -93,11 +104,12 @@ def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], te
     if held - kept:
         branch.belief = slam.estimator.forget(branch.belief, np.array(sorted(held - kept), np.int64))
     poses, consistency = [], Consistency()
-    for entry, ids in zip(diary.entries, names, strict=True):
+    for entry, ids, sure in zip(diary.entries, names, claimed, strict=True):
         walker.predict(branch, entry.t, entry.control)
         walker.t = entry.t
         if entry.scan is not None and len(entry.scan):
-            nis, dof = _take_in(walker, branch, entry.scan, np.where(np.isin(ids, list(kept)), ids, -1), held)
+            mine = np.where(np.isin(ids, list(kept)), ids, -1)
+            nis, dof = _take_in(walker, branch, entry.scan, mine, held, sure)
             consistency.record(nis, dof)
             if consistency.excess > tear:
                 raise Diverged(f"the trail tears at {entry.t} s: it cannot be gone over with these names")
@@ -105,16 +117,33 @@ def _filtered(slam: Slam, diary: Diary, names: Sequence[Ids], kept: set[int], te
     return branch.belief, poses
 
 
-def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int]) -> tuple[float, int]:
+def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int], sure: Mask) -> tuple[float, int]:
     """One scan: known landmarks move the pose, new ones are founded and believed. NIS and degrees of freedom."""
     estimator, rng = walker.estimator, walker.rng_estimator
     known = np.isin(ids, list(held))
-    particles = len(estimator.expect(branch.belief))
-    branch.belief = estimator.update(branch.belief, scan.news, [np.where(known, ids, -1)] * particles, rng)
-    stats = estimator.stats(branch.belief) if known.any() else {}
+    every = estimator.expect(branch.belief)
+    taken = known & (sure | ~_refuted(walker, every[0], scan, np.where(known & ~sure, ids, -1)))
+    branch.belief = estimator.update(branch.belief, scan.news, [np.where(taken, ids, -1)] * len(every), rng)
+    stats = estimator.stats(branch.belief) if taken.any() else {}
     fresh = np.where(known, -1, ids)
     if (fresh >= 0).any():
-        branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * particles, rng)
+        branch.belief = estimator.add(branch.belief, scan.raw, [fresh] * len(every), rng)
         branch.belief = estimator.promote(branch.belief, fresh[fresh >= 0])
         held.update(fresh[fresh >= 0].tolist())
     return float(stats.get("nis", 0.0)), int(stats.get("dof", 0))
+
+
+def _refuted(walker: Slam, predictions: Predictions, scan: Scan, ids: Ids) -> Mask:
+    """Names (m,) so far from where their landmarks are now expected that no scan would have been given them; not -1."""
+    column = {i: k for k, i in enumerate(predictions.ids.tolist())}
+    match = np.array([column.get(i, -1) for i in ids.tolist()], np.int64)
+    d2 = np.inf + np.zeros(len(ids))
+    rows = np.flatnonzero(match >= 0)
+    if len(rows):
+        flags = np.zeros(2, bool)
+        flags[list(walker.sensor.angles)] = True
+        d2[rows] = paired_distances(
+            scan.honest.z, scan.honest.R, predictions.z_hat, predictions.cov, rows, match[rows], flags
+        )
+    out: Mask = (ids >= 0) & (d2 >= walker.policy.apart2)
+    return out

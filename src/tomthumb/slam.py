@@ -27,6 +27,7 @@ from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
 from tomthumb.sensing import Clutter, DetectionMap, Surprise, area_in_view, news, travelled
+from tomthumb.stillness import record_drifts
 from tomthumb.twins import record_apart
 from tomthumb.types import (
     Array,
@@ -233,6 +234,9 @@ class Slam:
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
         here, names = self.estimator.pose(branch.belief), np.where(born, scan.serials, ids)
+        record_drifts(
+            branch.ledger, branch.crumbs, (predictions, matches[0]), scan.honest, self.sensor, here[0], self.scan
+        )
         look_back(branch, here, self.sensor, scan.honest, names, born, self.policy)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)

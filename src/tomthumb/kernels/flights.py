@@ -56,23 +56,27 @@ def _anchors(q: Array, sigma: Array, counts: Array, most: int) -> tuple[Array, A
     first, second, rank, found = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), 0
     for a in range(m):
         for b in range(a + 1, m):
-            work = float(counts[a]) * float(counts[b])
-            length = math.hypot(q[a, 0] - q[b, 0], q[a, 1] - q[b, 1])
-            if work > 0.0 and length > 3.0 * (sigma[a] + sigma[b]):
-                first[found], second[found], rank[found] = a, b, math.log(work) - 2.0 * math.log(length)
+            work = float(counts[a] * counts[b])
+            square = (q[a, 0] - q[b, 0]) ** 2 + (q[a, 1] - q[b, 1]) ** 2
+            if work > 0.0 and square > 9.0 * (sigma[a] + sigma[b]) ** 2:
+                first[found], second[found], rank[found] = a, b, work / square
                 found += 1
     times, pairs, tolerance, kept = np.zeros(m, np.int64), np.empty((most, 2), np.int64), np.empty(most), 0
-    order, chosen = np.argsort(rank[:found], kind="mergesort"), np.zeros(found, np.bool_)
     for uses in range(1, 4):  # anchors that share no observation first: a false one must not speak twice
-        for k in order:
-            a, b = first[k], second[k]
-            if kept < most and not chosen[k] and times[a] < uses and times[b] < uses:
-                times[a] += 1
-                times[b] += 1
-                pairs[kept, 0], pairs[kept, 1] = a, b
-                tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
-                chosen[k] = True
-                kept += 1
+        while kept < most:
+            best, least = -1, np.inf
+            for k in range(found):
+                if rank[k] < least and times[first[k]] < uses and times[second[k]] < uses:
+                    best, least = k, rank[k]
+            if best < 0:
+                break
+            a, b = first[best], second[best]
+            times[a] += 1
+            times[b] += 1
+            pairs[kept, 0], pairs[kept, 1] = a, b
+            tolerance[kept] = 3.5 * math.hypot(sigma[a], sigma[b])
+            rank[best] = np.inf
+            kept += 1
     return pairs[:kept], tolerance[:kept]
 
 
@@ -109,24 +113,26 @@ def explore(
     pairs of observations, tolerance (a,) m on their distance; candidates of i in columns[start[i]:start[i + 1]]; worth (n,)
     log odds of each point relative to the best. apart (2,): two poses nearer than this (m, rad) are one basin.
     A pose is given up once it cannot come within `behind` nats of the best any more. Stops early when two anchors agree
-    on a basin that leads by 10 nats and explains 60 % of what can be gained.
+    on a basin that leads by 10 nats and explains 60 % of what can be gained; while only one does, those that it explains come
+    first: no others can agree.
     Returns poses (basins, 3), scores (-inf where none), poses tried and anchors used.
     """
-    m = q.shape[0]
-    poses, scores = np.zeros((basins, 3)), np.full(basins, -np.inf)
-    possible, tried = 0.0, 0
-    rest = np.zeros(m + 1)
-    for i in range(m - 1, -1, -1):
+    poses, scores, tried = np.zeros((basins, 3)), np.full(basins, -np.inf), 0
+    rest = np.zeros(q.shape[0] + 1)  # what the observations from each on can gain
+    for i in range(q.shape[0] - 1, -1, -1):
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
-    possible = rest[0]
     support = np.zeros(basins, np.int64)  # anchors that led to each basin
+    turn = np.arange(anchors.shape[0])
     for k in range(anchors.shape[0]):
-        if k >= 2 and support[0] >= 2 and scores[0] > 0.6 * possible and (basins < 2 or scores[0] - scores[1] > 10.0):
-            return poses, scores, tried, k
-        a, b = anchors[k, 0], anchors[k, 1]
+        if scores[0] > 0.6 * rest[0] and (basins < 2 or scores[0] - scores[1] > 10.0):
+            if k >= 2 and support[0] >= 2:
+                return poses, scores, tried, k
+            _bring_forward(turn, k, anchors, poses[0], q, W, gain, points, worth, cell, low, shape, cells, index)
+        at = turn[k]
+        a, b = anchors[at, 0], anchors[at, 1]
         qx, qy = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1]
         q_length = math.sqrt(qx * qx + qy * qy)
-        near, far = max(q_length - tolerance[k], 1e-9), q_length + tolerance[k]
+        near, far = max(q_length - tolerance[at], 1e-9), q_length + tolerance[at]
         touched = np.zeros(basins, np.bool_)
         for ca in range(start[a], start[a + 1]):
             ja = columns[ca]
@@ -156,6 +162,27 @@ def explore(
         for r in range(basins):
             support[r] += touched[r]
     return poses, scores, tried, anchors.shape[0]
+
+
+@jit
+def _bring_forward(
+    turn: Array, k: int, anchors: Array, pose: Array, q: Array, W: Array, gain: Array, points: Array, worth: Array,
+    cell: float, low: Array, shape: Array, cells: Array, index: Array,
+) -> None:  # fmt: skip
+    """Put the first anchor of turn[k:] both of whose observations the pose explains at k, in place; the others follow."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for r in range(k, turn.shape[0]):
+        explained = True
+        for side in range(2):
+            i = anchors[turn[r], side]
+            ox, oy = q[i, 0] - pose[0], q[i, 1] - pose[1]
+            x, y = c * ox + s * oy, -s * ox + c * oy
+            explained &= gain[i] + best_near(x, y, W[i], points, worth, cell, low, shape, cells, index) > 0.0
+        if explained:
+            first = turn[r]
+            turn[k + 1 : r + 1] = turn[k:r].copy()
+            turn[k] = first
+            return
 
 
 @jit

@@ -287,21 +287,25 @@ def listed(
 
 
 @jit
-def bent(z_hat: Array, C: Array, R: Array, turn: float, polar: bool) -> float:
-    """What linearising the pose leaves out of a prediction, one sigma, over the noise (m, 2, 2): the largest of all.
+def bent(z: Array, R: Array, z_hat: Array, C: Array, turn: float, polar: bool) -> float:
+    """What linearising the pose leaves out, one sigma, over the noise: the largest of all.
 
-    An arc beside its tangent: p v / 2, v the variance of the bearing, or `turn`, that of the heading, for points; and for
-    a bearing, the range it was taken at: sigma of the one times that of the other, over the range.
+    An arc beside its tangent, along the line of sight: r v / 2, v the variance of the heading, `turn`, for points z (m, 2), or of
+    the bearing, for predictions z_hat (n, 2) with covariance C (2n, 2n); and for a bearing, the range it was taken at: sigma of
+    the one times that of the other, over the range.
     """
     most, across, along = 0.0, np.inf, np.inf
     for i in range(R.shape[0]):
-        along, across = min(along, math.sqrt(R[i, 0, 0])), min(across, math.sqrt(R[i, 1, 1]))
-    for j in range(z_hat.shape[0]):
         if polar:
+            along, across = min(along, math.sqrt(R[i, 0, 0])), min(across, math.sqrt(R[i, 1, 1]))
+        else:
+            x, y, r2 = z[i, 0], z[i, 1], max(z[i, 0] ** 2 + z[i, 1] ** 2, 1e-18)
+            sight = (R[i, 0, 0] * x * x + 2.0 * R[i, 0, 1] * x * y + R[i, 1, 1] * y * y) / r2
+            most = max(most, 0.5 * math.sqrt(r2) * turn / math.sqrt(sight))
+    if polar:
+        for j in range(z_hat.shape[0]):
             v, r = C[2 * j + 1, 2 * j + 1], z_hat[j, 0]
             most = max(most, 0.5 * r * v / along, math.sqrt(C[2 * j, 2 * j] * v) / max(r, 1e-9) / across)
-        else:
-            most = max(most, 0.5 * math.hypot(z_hat[j, 0], z_hat[j, 1]) * turn / min(along, across))
     return most
 
 

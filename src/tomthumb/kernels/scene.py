@@ -118,8 +118,8 @@ def points_of(z: Array, polar: bool) -> tuple[Array, Array]:
 @jit
 def decomposed(
     z: Array, R: Array, z_hat: Array, cov: Array, pose_cov: Array, cross: Array, polar: bool, most: int, remainder: float
-) -> tuple[bool, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """C = B Xi B' + blockdiag(D), B_j = [I | J p_j]: whether the covariance is that, and q, R, p, D, Xi and |det dq/dz|.
+) -> tuple[bool, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """C = B Xi B' + blockdiag(D), B_j = [I | J p_j]: whether the covariance is that, and q, R, p, D, Xi, Xi^-1, log |det dq/dz|.
 
     Xi is taken from the pose, G = cross pose_cov^-1 being B times one 3 x 3 matrix if landmarks do not move with it
     (pose_cov (3, 3) and cross (2n, 3), or of size 0), else from the least-squares motion of some points. It is held good
@@ -135,7 +135,7 @@ def decomposed(
         if polar:
             _bent(q[i], noise_of[i], z[i, 0], Tq[i], R[i, 1, 1])
         noise += (noise_of[i, 0, 0] + noise_of[i, 1, 1]) / q.shape[0]
-        area[i] = abs(Tq[i, 0, 0] * Tq[i, 1, 1] - Tq[i, 0, 1] * Tq[i, 1, 0])
+        area[i] = math.log(max(abs(Tq[i, 0, 0] * Tq[i, 1, 1] - Tq[i, 0, 1] * Tq[i, 1, 0]), 1e-300))
     for j in range(n):
         _turn(Tp[j], cov, 2 * j, 2 * j, Tp[j], own[j])
     some = np.argsort(p[:, 0] ** 2 + p[:, 1] ** 2, kind="mergesort")[:: max(1, n // (4 * most))][:most]
@@ -146,8 +146,8 @@ def decomposed(
         else:
             known, Xi = _from_covariance(C, p[some])
         if known and _explained(C, Xi, p[some], noise, remainder) and _left(own, Xi, p, -remainder * noise, D):
-            return True, q, noise_of, p, D, Xi, area
-    return False, q, noise_of, p, D, np.zeros((3, 3)), area
+            return True, q, noise_of, p, D, Xi, np.linalg.inv(Xi), area
+    return False, q, noise_of, p, D, np.zeros((3, 3)), np.zeros((3, 3)), area
 
 
 @jit
@@ -232,7 +232,15 @@ def _from_pose(p: Array, T: Array, pose_cov: Array, cross: Array) -> tuple[bool,
             right[2, c] += -p[j, 1] * x + p[j, 0] * y
     # M = (B'B)^-1 B'G and Xi = M pose_cov M', with G = T cross pose_cov^-1
     N = _product(inner, right)
-    return good, _product(_product(N, back), N.T.copy())
+    Xi = _product(_product(N, back), N.T.copy())
+    return good and _regular(Xi), Xi
+
+
+@jit
+def _regular(Xi: Array) -> bool:
+    """Whether the motion is uncertain in all its directions; whatever the units."""
+    a, b, c, d, e, f = Xi[0, 0], Xi[1, 0], Xi[1, 1], Xi[2, 0], Xi[2, 1], Xi[2, 2]
+    return bool(a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d) > 1e-12 * a * c * f)
 
 
 @jit

@@ -110,14 +110,13 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
         return None
     pose_cov = NOTHING if given.pose_cov is None else np.ascontiguousarray(given.pose_cov)
     cross = NOTHING if given.cross is None else np.ascontiguousarray(given.cross)
-    good, q, R, p, D, Xi, area = kernel.decomposed(
+    good, q, R, p, D, Xi, prior, area = kernel.decomposed(
         problem.z, problem.R, given.z_hat, np.ascontiguousarray(given.cov), pose_cov, cross, bool(problem.angles),
         SAMPLE, REMAINDER,
     )  # fmt: skip
     if not good:
         return None
-    prior = np.linalg.inv(Xi)
-    return Rigid(q, R, p, D, Xi, base + np.log(area), odds, prior, problem.allowed, problem.evidence)
+    return Rigid(q, R, p, D, Xi, base + area, odds, prior, problem.allowed, problem.evidence)
 
 
 def lever(p: Array) -> Array:

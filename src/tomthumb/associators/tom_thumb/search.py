@@ -26,7 +26,7 @@ from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, ancho
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
 from tomthumb.errors import from_zero
-from tomthumb.kernels import marginals, posterior
+from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
 from tomthumb.tale.levy import power_law
@@ -37,8 +37,9 @@ Given = tuple[Array, Array, Array, Array]  # innovation, covariance of the predi
 SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
-SHORT, SOON = 48, 1000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
-MANY = 64  # hypotheses that may be listed
+LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
+SHORT, SOON = 64, 4000  # the same where landmarks err together even given the pose: nodes are dearer there
+MANY = 256  # hypotheses that may be listed then
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
 
@@ -106,10 +107,9 @@ class TomThumb:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
         hard = self._is_hard(near)
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
-        if self._may_be_listed(problem, near):
-            listed = self._listed(given, near)
-            if listed:
-                return listed
+        listed = self._listed(problem, given, near) if self._may_be_listed(problem, near) else None
+        if listed is not None:
+            return [listed]
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
@@ -148,12 +148,13 @@ class TomThumb:
     def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
         """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
         wanted = self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
-        if not wanted or near.start[-1] > SHORT or self.gates[0] < self.gates[1]:
+        if not wanted or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
             return False
         given = problem.predictions
         if given.pose_cov is None:
             return False
-        return bool(posterior.bent(given.z_hat, given.cov, problem.R, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
+        shape = problem.z, problem.R, given.z_hat, given.cov
+        return bool(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
@@ -173,15 +174,21 @@ class TomThumb:
         match, chance, free = marginals.pick(p, none, self.least)
         return bool(free and chance.min() >= sure and np.array_equal(match, best.match))
 
-    def _listed(self, given: Given, near: Window) -> Sequence[Association]:
-        """The decision by the sums over all hypotheses that count; none where they are too many."""
-        whole, p, none, _best, value, nodes = posterior.listed(
-            *given, near.start, near.columns, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
-        )
+    def _listed(self, problem: AssociationProblem, given: Given, near: Window) -> Association | None:
+        """The decision by the sums over all hypotheses that count; None where they are too many."""
+        lists, whole, nodes = (near.start, near.columns), False, 0
+        pose_cov, cross = problem.predictions.pose_cov, problem.predictions.cross
+        if pose_cov is not None and cross is not None:
+            pose = np.ascontiguousarray(pose_cov), np.ascontiguousarray(cross)
+            whole, p, none, _best, value, nodes = listing.listed(*given, *pose, *lists, self.listed, LATER)
+        if nodes == 0 and len(near.columns) <= SHORT:
+            whole, p, none, _best, value, nodes = posterior.listed(
+                *given, *lists, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
+            )
         if not whole:
-            return []
+            return None
         match, chance = most_probable(p, none, self.least)
-        return [Association(match, value, {"proof": "optimal", "nodes": nodes, "objective": value}, chance)]
+        return Association(match, value, {"proof": "optimal", "nodes": int(nodes), "objective": value}, chance)
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 

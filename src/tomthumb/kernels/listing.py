@@ -1,0 +1,287 @@
+"""All hypotheses of a scan that count, listed and summed, where the predictions' errors are the robot's pose and their own.
+
+C = G G' + blkdiag(D): given u (3,), the pose's error made standard normal, pairings are independent. So what a set of them
+says about u adds up, L = sum of constants + h' A^-1 h / 2 - log det A / 2 with A = I + sum J' V^-1 J, h = sum J' V^-1 nu, and a
+node of the search costs a 3 x 3 system however deep it lies.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tomthumb.kernels.jit import jit
+
+Array = Any
+
+LOG_2PI = math.log(2.0 * math.pi)
+PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
+REMAINDER = 0.05  # covariance between two landmarks beside the pose's, over the noise, that is held to be none
+MANY = 12  # observations from which that saves more than it costs
+
+
+@jit
+def listed(
+    nu: Array, C: Array, R: Array, base: Array, pose_cov: Array, cross: Array, start: Array, columns: Array, slack: float,
+    budget: int,
+) -> tuple[bool, Array, Array, Array, float, int]:  # fmt: skip
+    """Marginals p (m, n) and none (m,) by summing all hypotheses within `slack` nats of the best; its match, L, and nodes.
+
+    Depth first, observations of few candidates first, the best choice given those before first. `base (m, n)`: base gains;
+    cross (2n, 3): covariance of predictions and pose. The first is False where the budget did not suffice (then the sums are
+    not what they claim), and where C is not of that form (then nodes are 0).
+    """
+    m, n = base.shape
+    p, none, best, most = np.zeros((m, n)), np.zeros(m), np.full(m, -1, np.int64), -np.inf
+    order = np.argsort(start[1:] - start[:-1], kind="mergesort")
+    G = _levers(pose_cov, cross)
+    good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
+    if not good or not _common(C, G, V, columns):
+        return False, p, none, best, most, 0
+    rest, known, value, sums, choice, gains, at, count = _levels(order, start, worth)
+    match, used, bound = np.full(m, -1, np.int64), np.zeros(n, np.bool_), 0  # bound: the row of `rest` that holds here
+    s, nodes, first, floor = 0, 0, 0.0, -np.inf
+    while True:
+        if s < m:  # entered from above
+            if s == PLACED and m >= MANY:
+                bound = s
+                _looked_over(rest, order, s, value[s], known, slack, nu, G, told, V, worth, start, columns, used)
+            i = order[s]
+            at[s], sums[s] = 0, 0.0
+            nodes += start[i + 1] - start[i] + 1
+            if nodes > budget:
+                return False, p, none, best, most, nodes
+            limit = floor - rest[bound, s + 1]
+            count[s] = _choices(choice, gains, s, i, value[s], known, told, start, columns, used, limit)
+        else:
+            first = value[m] if most == -np.inf else first
+            if value[m] > most:
+                most, floor = value[m], value[m] - slack
+                best[:] = match
+            sums[m] = math.exp(value[m] - first)
+        while s == m or at[s] == count[s] or gains[s, at[s]] + rest[bound, s + 1] <= floor:
+            if s == 0:
+                return True, p / sums[0], none / sums[0], best, most, nodes
+            bound = 0 if s == PLACED else bound
+            s -= 1
+            i = order[s]
+            if match[i] >= 0:
+                p[i, match[i]] += sums[s + 1]
+                used[match[i]] = False
+            else:
+                none[i] += sums[s + 1]
+            sums[s] += sums[s + 1]
+            match[i] = -1
+            at[s] += 1
+        c = choice[s, at[s]]
+        value[s + 1] = gains[s, at[s]]
+        for k in range(10):
+            known[s + 1, k] = known[s, k] + (told[c, k] if c >= 0 else 0.0)
+        if c >= 0:
+            match[order[s]] = columns[c]
+            used[columns[c]] = True
+        s += 1
+
+
+@jit
+def _levers(P: Array, cross: Array) -> Array:
+    """G (2n, 3) = cross P^-1/2: what a standard normal motion of the pose makes of the predictions.
+
+    Where P (3, 3) is singular, what does not move moves nothing.
+    """
+    half, G = np.zeros((3, 3)), np.zeros((cross.shape[0], 3))
+    for r in range(3):
+        for t in range(r + 1):
+            left = P[r, t] - half[r, 0] * half[t, 0] - half[r, 1] * half[t, 1]
+            if t < r and half[t, t] > 0.0:
+                half[r, t] = left / half[t, t]
+            elif t == r and left > 1e-12 * P[r, r]:
+                half[r, r] = math.sqrt(left)
+    for j in range(cross.shape[0]):
+        for r in range(3):
+            if half[r, r] > 0.0:
+                G[j, r] = (cross[j, r] - half[r, 0] * G[j, 0] - half[r, 1] * G[j, 1]) / half[r, r]
+    return G
+
+
+@jit
+def _forms(
+    nu: Array, C: Array, R: Array, base: Array, G: Array, start: Array, columns: Array
+) -> tuple[bool, Array, Array, Array]:
+    """What each listed pairing adds: to A (its lower half by rows), h and the constant (k, 10); its V (k, 3) and gain at d2 = 0.
+
+    False where a V is no covariance.
+    """
+    size = columns.shape[0]
+    told, V, worth = np.empty((size, 10)), np.empty((size, 3)), np.empty(size)
+    for i in range(start.shape[0] - 1):
+        for c in range(start[i], start[i + 1]):
+            j = columns[c]
+            e, f = 2 * j, 2 * j + 1
+            a, b, d = C[e, e] + R[i, 0, 0], C[e, f] + R[i, 0, 1], C[f, f] + R[i, 1, 1]
+            for r in range(3):
+                a, b, d = a - G[e, r] * G[e, r], b - G[e, r] * G[f, r], d - G[f, r] * G[f, r]
+            det = a * d - b * b
+            if not (det > 0.0 and a > 0.0):
+                return False, told, V, worth
+            V[c, 0], V[c, 1], V[c, 2] = a, b, d
+            worth[c] = base[i, j] - 0.5 * math.log(det) - LOG_2PI
+            x, y = (d * nu[i, j, 0] - b * nu[i, j, 1]) / det, (a * nu[i, j, 1] - b * nu[i, j, 0]) / det
+            k = 0
+            for r in range(3):
+                u, v = (d * G[e, r] - b * G[f, r]) / det, (a * G[f, r] - b * G[e, r]) / det
+                for t in range(r + 1):
+                    told[c, k] = u * G[e, t] + v * G[f, t]
+                    k += 1
+                told[c, 6 + r] = G[e, r] * x + G[f, r] * y
+            told[c, 9] = worth[c] - 0.5 * (nu[i, j, 0] * x + nu[i, j, 1] * y)
+    return True, told, V, worth
+
+
+@jit
+def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
+    """True when G leaves nothing between any two of the listed landmarks that counts beside the noise of a pairing.
+
+    The noise is that of a component given the other, the least of all pairings (V): it decides where it is narrow.
+    """
+    least, named = np.full(2, np.inf), np.zeros(C.shape[0] // 2, np.bool_)
+    for c in range(columns.shape[0]):
+        det = V[c, 0] * V[c, 2] - V[c, 1] * V[c, 1]
+        least[0], least[1] = min(least[0], det / V[c, 2]), min(least[1], det / V[c, 0])
+        named[columns[c]] = True
+    some = np.flatnonzero(named)
+    for a in some:
+        for b in some:
+            if b >= a:
+                break
+            for u in range(2):
+                for v in range(2):
+                    r, t = 2 * a + u, 2 * b + v
+                    over = C[r, t] - G[r, 0] * G[t, 0] - G[r, 1] * G[t, 1] - G[r, 2] * G[t, 2]
+                    if over * over > REMAINDER**2 * least[u] * least[v]:
+                        return False
+    return True
+
+
+@jit
+def _levels(
+    order: Array, start: Array, worth: Array
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """What is kept of each level s: rest, known, L, sums of weights, choices with their L, the one tried, their count.
+
+    rest[0, s]: what the observations order[s:] could add at perfect fits. known[s]: A (lower half by rows), h and the constant.
+    """
+    m, width = order.shape[0], 1 + (start[1:] - start[:-1]).max()
+    rest, known = np.zeros((m + 1, m + 1)), np.zeros((m + 1, 10))
+    known[0, 0], known[0, 2], known[0, 5] = 1.0, 1.0, 1.0
+    for s in range(m - 1, -1, -1):
+        most = 0.0
+        for c in range(start[order[s]], start[order[s] + 1]):
+            most = max(most, worth[c])
+        rest[0, s] = rest[0, s + 1] + most
+    choice, gains = np.empty((m, width), np.int64), np.empty((m, width))
+    return rest, known, np.zeros(m + 1), np.zeros(m + 1), choice, gains, np.zeros(m, np.int64), np.zeros(m, np.int64)
+
+
+@jit
+def _choices(
+    choice: Array, gains: Array, s: int, i: int, value: float, known: Array, told: Array, start: Array, columns: Array,
+    used: Array, limit: float,
+) -> int:  # fmt: skip
+    """What observation i can be (c, or -1: nothing), with L then, above `limit`, best first; how many."""
+    choice[s, 0], gains[s, 0] = -1, value
+    count = 1
+    for c in range(start[i], start[i + 1]):
+        if used[columns[c]]:
+            continue
+        gain = _posterior(known, s, told, c)
+        if not gain > limit:
+            continue
+        k = count
+        while k > 0 and gains[s, k - 1] < gain:
+            choice[s, k], gains[s, k] = choice[s, k - 1], gains[s, k - 1]
+            k -= 1
+        choice[s, k], gains[s, k] = c, gain
+        count += 1
+    return count
+
+
+@jit
+def _posterior(known: Array, s: int, told: Array, c: int) -> float:
+    """L = constant + h' A^-1 h / 2 - log det A / 2, of what is known at level s and what pairing c adds."""
+    a00, a10, a11 = known[s, 0] + told[c, 0], known[s, 1] + told[c, 1], known[s, 2] + told[c, 2]
+    a20, a21, a22 = known[s, 3] + told[c, 3], known[s, 4] + told[c, 4], known[s, 5] + told[c, 5]
+    y0 = known[s, 6] + told[c, 6]
+    l10, l20 = a10 / a00, a20 / a00
+    d1, e = a11 - l10 * a10, a21 - l20 * a10
+    l21 = e / d1
+    d2 = a22 - l20 * a20 - l21 * e
+    y1 = known[s, 7] + told[c, 7] - l10 * y0
+    y2 = known[s, 8] + told[c, 8] - l20 * y0 - l21 * y1
+    fit = y0 * y0 / a00 + y1 * y1 / d1 + y2 * y2 / d2
+    return float(known[s, 9] + told[c, 9] + 0.5 * (fit - math.log(a00 * d1 * d2)))
+
+
+@jit
+def _looked_over(
+    rest: Array, order: Array, s: int, value: float, known: Array, slack: float, nu: Array, G: Array, told: Array, V: Array,
+    worth: Array, start: Array, columns: Array, used: Array,
+) -> None:  # fmt: skip
+    """order[s:] and rest[s, s:] again, in place, now that a few pairings tell the motion.
+
+    First the observations whose best choice lies farthest below its bound, by how many choices they have within `slack`: they
+    settle most at least cost.
+    """
+    m, x, U = order.shape[0], np.empty(3), np.empty((3, 3))
+    _motion(known, s, x, U)
+    urgent, most, gains = np.empty(m), np.empty(m), np.empty(columns.shape[0])
+    for t in range(s, m):
+        i, top, best, choices = order[t], 0.0, 0.0, 0.0
+        for c in range(start[i], start[i + 1]):
+            gains[c] = -np.inf
+            if not used[columns[c]]:
+                gains[c] = _posterior(known, s, told, c) - value
+                best = max(best, gains[c])
+                if worth[c] > top:
+                    top = max(top, worth[c] - _least(nu, i, columns[c], c, G, V, x, U, m - s))
+        for c in range(start[i], start[i + 1]):
+            choices += gains[c] > best - slack
+        urgency, k = (top - best) / (choices + (best < slack)), t
+        while k > s and urgent[k - 1] < urgency:
+            urgent[k], most[k], order[k] = urgent[k - 1], most[k - 1], order[k - 1]
+            k -= 1
+        urgent[k], most[k], order[k] = urgency, top, i
+    rest[s, m] = 0.0
+    for t in range(m - 1, s - 1, -1):
+        rest[s, t] = rest[s, t + 1] + most[t]
+
+
+@jit
+def _motion(known: Array, s: int, x: Array, U: Array) -> None:
+    """Mean x (3,) and covariance U (3, 3) of the motion, by what is known at level s."""
+    a, b, c, d, e, f = known[s, 0], known[s, 1], known[s, 2], known[s, 3], known[s, 4], known[s, 5]
+    U[0, 0], U[1, 1], U[2, 2] = c * f - e * e, a * f - d * d, a * c - b * b
+    U[0, 1], U[0, 2], U[1, 2] = e * d - b * f, b * e - c * d, b * d - a * e
+    U[1, 0], U[2, 0], U[2, 1] = U[0, 1], U[0, 2], U[1, 2]
+    det = a * U[0, 0] + b * U[0, 1] + d * U[0, 2]
+    for r in range(3):
+        x[r] = (U[r, 0] * known[s, 6] + U[r, 1] * known[s, 7] + U[r, 2] * known[s, 8]) / det
+        for t in range(3):
+            U[r, t] /= det
+
+
+@jit
+def _least(nu: Array, i: int, j: int, c: int, G: Array, V: Array, x: Array, U: Array, shares: int) -> float:
+    """The least that pairing c costs, where each of so many may move the motion as it likes for its share of the price.
+
+    d2 / 2 under V + shares J U J'; one motion for all cannot cost less than these together.
+    """
+    u, v, a, b, d = nu[i, j, 0], nu[i, j, 1], V[c, 0], V[c, 1], V[c, 2]
+    for r in range(3):
+        p = shares * (U[r, 0] * G[2 * j, 0] + U[r, 1] * G[2 * j, 1] + U[r, 2] * G[2 * j, 2])
+        q = shares * (U[r, 0] * G[2 * j + 1, 0] + U[r, 1] * G[2 * j + 1, 1] + U[r, 2] * G[2 * j + 1, 2])
+        u, v = u - G[2 * j, r] * x[r], v - G[2 * j + 1, r] * x[r]
+        a, b, d = a + G[2 * j, r] * p, b + G[2 * j, r] * q, d + G[2 * j + 1, r] * q
+    return float(0.5 * (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b))

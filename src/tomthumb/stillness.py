@@ -1,0 +1,105 @@
+"""Does it stand still? What a thing on trial was seen aside of where it was expected, added up.
+
+The gate of each sighting alone lets slow walkers pass, for the estimate follows them. A landmark's innovations are white; a
+walker's all point his way, the farther the longer he has been walking.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tomthumb.kernels.gates import innovations
+from tomthumb.protocols import Sensor
+from tomthumb.types import Array, Ids, Observations, Predictions
+
+if TYPE_CHECKING:
+    from tomthumb.lifecycle import Ledger
+
+BENT = 0.3  # of the noise: a sighting whose linearisation leaves out more says nothing, for that all points one way too
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Innovations (2,) of one thing by the world's axes, each in its own standard deviations, times its age in scans; and
+    the sum of the squared ages. Of a landmark, the one by the root of the other is standard normal.
+    """
+
+    way: Array = field(default_factory=lambda: np.zeros(2))
+    ages: float = 0.0
+
+    def and_seen(self, age: int, nu: Array, S: Array) -> Drift:
+        """One more sighting, `age` scans after the first, nu (2,) m from where it was expected with covariance S (2, 2) m2."""
+        values, axes = np.linalg.eigh(S)
+        white = axes @ ((axes.T @ nu) / np.sqrt(np.maximum(values, 1e-12)))
+        return Drift(self.way + age * white, self.ages + age * age)
+
+    @property
+    def d2(self) -> float:
+        """Chi-square of 2 degrees of freedom for what stands still."""
+        return float(self.way @ self.way) / self.ages if self.ages > 0.0 else 0.0
+
+
+def record_drifts(
+    ledger: Ledger,
+    crumbs: set[int],
+    expected: tuple[Predictions, Ids],
+    seen: Observations,
+    sensor: Sensor,
+    pose: Array,
+    scan: int,
+) -> None:
+    """Crumbs that were seen in scan number `scan`, each beside what the stones of that scan say of pose and map.
+
+    expected: the predictions, and which of them (m,) each observation is, or -1. pose (3,): after the update.
+    """
+    predictions, match = expected
+    rows = np.flatnonzero(match >= 0)
+    ids = predictions.ids[match[rows]].tolist()
+    tried = np.flatnonzero([i in crumbs for i in ids])
+    if not len(tried) or predictions.points is None or predictions.pose_cov is None:
+        return
+    nu, S = joint(predictions, match[rows], seen.take(rows), sensor)
+    left, own = given_others(nu, S, np.setdiff1d(np.arange(len(rows)), tried), tried)
+    *_, by_z = sensor.locate(pose, seen.z[rows[tried]])
+    for k, T, x, C in zip(tried.tolist(), by_z, left, own, strict=True):
+        noise, point = seen.R[rows[k]], predictions.points[match[rows[k]]]
+        if bent(point, noise, float(predictions.pose_cov[2, 2]), bool(sensor.angles)) < BENT:
+            life = ledger[ids[k]]
+            life.drift = life.drift.and_seen(scan - life.born, T @ x, T @ C @ T.T)
+
+
+def joint(predictions: Predictions, columns: Ids, seen: Observations, sensor: Sensor) -> tuple[Array, Array]:
+    """Innovations (k, 2) of pairings and their joint covariance (2k, 2k)."""
+    k, wrapped = len(columns), np.isin([0, 1], sensor.angles)
+    nu = innovations(seen.z, predictions.z_hat[columns], wrapped)[np.arange(k), np.arange(k)]
+    where = (2 * columns[:, None] + np.arange(2)).ravel()
+    S = predictions.cov[np.ix_(where, where)]
+    for i in range(k):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.R[i]
+    return nu, S
+
+
+def given_others(nu: Array, S: Array, known: Ids, tried: Ids) -> tuple[Array, Array]:
+    """Innovations (t, 2) of the pairings `tried`, and covariances (t, 2, 2), given those of the pairings `known`.
+
+    nu (k, 2) and S (2k, 2k) are joint. Pose and map err alike for both: what is left over is the thing's own.
+    """
+    every = np.arange(2 * len(nu)).reshape(-1, 2)
+    rest, mine = every[known].ravel(), every[tried].ravel()
+    gain = np.linalg.solve(S[np.ix_(rest, rest)], S[np.ix_(rest, mine)]).T
+    left = nu.ravel()[mine] - gain @ nu.ravel()[rest]
+    own = S[np.ix_(mine, mine)] - gain @ S[np.ix_(rest, mine)]
+    return left.reshape(-1, 2), np.array([own[k : k + 2, k : k + 2] for k in range(0, len(mine), 2)])
+
+
+def bent(point: Array, noise: Array, turn: float, polar: bool) -> float:
+    """What linearising the heading (variance `turn` rad2) leaves out of a point (2,) m of the sensor's frame, along the line of
+    sight, in standard deviations of the noise there (2, 2).
+    """
+    r = float(np.hypot(*point))
+    sight = np.array([1.0, 0.0]) if polar else point / max(r, 1e-9)
+    return 0.5 * r * turn / math.sqrt(float(sight @ noise @ sight))

@@ -1,0 +1,130 @@
+"""Listing given the pose: its sums against those over all hypotheses, written out or searched on the full covariance."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from associators.brute import random_problem, tabulate
+from tomthumb.associators.tom_thumb.scene import base_table, window
+from tomthumb.kernels import flights, listing, posterior
+from tomthumb.kernels.grid import fill_grid
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from scan_problems import scans
+
+WIDE = 1.0 - 1e-6
+
+
+def arrays(problem, cov=None):
+    """What `listed` takes before the lists of candidates."""
+    given = problem.predictions
+    cov = np.ascontiguousarray(given.cov if cov is None else cov)
+    return problem.innovation, cov, problem.R, base_table(problem), given.pose_cov, np.ascontiguousarray(given.cross)
+
+
+@pytest.mark.parametrize("angles", [(), (1,)])
+def test_it_is_the_sum_over_all_hypotheses(angles):
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        m, n = rng.integers(1, 5, 2)
+        problem = random_problem(rng, int(m), int(n), spread=float(rng.uniform(0.4, 2.0)), angles=angles)
+        near, table = window(problem.d2, WIDE), tabulate(problem, WIDE)
+        dense = np.where(table.compatible, table.posterior(base_table(problem)), -np.inf)
+        weights = np.exp(dense - dense.max())
+        weights /= weights.sum()
+        whole, p, none, best, value, nodes = listing.listed(*arrays(problem), near.start, near.columns, 60.0, 10**6)
+        assert whole
+        assert nodes > 0
+        assert value == pytest.approx(dense.max(), abs=1e-8)
+        assert dense[np.flatnonzero((table.matches == best).all(1))[0]] == pytest.approx(value, abs=1e-8)
+        assert np.allclose(none, weights @ (table.matches < 0), atol=1e-9)
+        for j in range(n):
+            assert np.allclose(p[:, j], weights @ (table.matches == j), atol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("mid", 16), ("mid+sp", 12), ("dense+sp", 12)])
+def test_a_larger_scan_has_the_hypotheses_that_the_full_covariance_gives(kind, size):
+    """From `listing.MANY` observations on their order and the bound change on the way; nothing may be lost by it."""
+    assert size >= listing.MANY
+    several = 0
+    for scan in scans(kind, size, 12, 4):
+        problem = scan.problem()
+        near, base = window(problem.d2, WIDE), base_table(problem)
+        m, slack, given = len(problem.z), 4.0, arrays(problem)
+        whole, p, none, best, value, _ = listing.listed(*given, near.start, near.columns, slack, 10**7)
+        pool, values = np.full((400, m), -1, np.int64), np.full(400, -np.inf)
+        _, proven = posterior.search(
+            *given[:4], posterior.most_possible(near.start, near.columns, base, problem.R),
+            *posterior.rank(near.start, near.columns), np.full(m + 1, np.inf), np.full(m, -1, np.int64), 0.0, slack,
+            10**7, pool, values,
+        )  # fmt: skip
+        assert whole
+        assert proven
+        assert np.array_equal(best, pool[0])
+        assert value == pytest.approx(values[0], abs=1e-7)
+        inside = values > values[0] - slack
+        weights = np.exp(values[inside] - values[0])
+        several += inside.sum() > 1
+        # the listing holds them all, and may hold less probable ones besides
+        share = (weights[:, None] * (pool[inside] < 0)).sum(0) / weights.sum()
+        assert np.abs(none - share).max() < np.exp(-slack) * 10
+        assert np.allclose(p.sum(1) + none, 1.0)
+    assert several >= 3
+
+
+def test_landmarks_that_err_together_given_the_pose_are_refused():
+    problem = random_problem(np.random.default_rng(6), 4, 4, spread=0.8)
+    near = window(problem.d2, WIDE)
+    together = problem.predictions.cov + 0.01 * np.kron(np.ones((4, 4)), np.eye(2))
+    hardly = problem.predictions.cov + 1e-5 * np.kron(np.ones((4, 4)), np.eye(2))
+    for cov, taken in ((together, False), (hardly, True)):
+        whole, _, _, _, _, nodes = listing.listed(*arrays(problem, cov), near.start, near.columns, 6.0, 10**6)
+        assert whole == taken
+        assert (nodes > 0) == taken
+
+
+def test_a_spent_budget_is_told():
+    problem = random_problem(np.random.default_rng(7), 5, 5, spread=0.5)
+    near = window(problem.d2, WIDE)
+    whole, _, _, _, _, nodes = listing.listed(*arrays(problem), near.start, near.columns, 6.0, 8)
+    assert not whole
+    assert nodes > 8
+
+
+def test_without_candidates_everything_is_unpaired():
+    problem = random_problem(np.random.default_rng(8), 3, 4)
+    whole, p, none, best, value, _ = listing.listed(
+        *arrays(problem), np.zeros(4, np.int64), np.empty(0, np.int64), 6.0, 100
+    )
+    assert whole
+    assert value == 0.0
+    assert not p.any()
+    assert (none == 1.0).all()
+    assert (best == -1).all()
+
+
+def test_a_pose_known_in_one_direction_moves_nothing_that_way():
+    P = np.diag([0.04, 0.0, 0.01])
+    B = np.array([[1.0, 0.0, -2.0], [0.0, 1.0, 3.0], [1.0, 0.0, 0.5], [0.0, 1.0, -1.0]])
+    G = listing._levers(P, B @ P)
+    assert np.allclose(G @ G.T, B @ P @ B.T)
+    whole = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
+    G = listing._levers(whole, B @ whole)
+    assert np.allclose(G @ G.T, B @ whole @ B.T)
+
+
+def test_anchors_that_the_pose_explains_are_brought_forward():
+    points = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]])
+    q = np.vstack([points, [[9.0, 9.0]]])  # the last one is of nothing
+    grid = fill_grid(points, 0.5)
+    turn, anchors = np.arange(4), np.array([[0, 1], [2, 4], [4, 3], [2, 3]])
+    W, gain, worth = np.tile([100.0, 0.0, 100.0], (5, 1)), np.full(5, 4.0), np.zeros(4)
+    flights._bring_forward(turn, 1, anchors, np.zeros(3), q, W, gain, points, worth, *grid)
+    assert turn.tolist() == [0, 3, 1, 2]
+    flights._bring_forward(turn, 2, anchors, np.zeros(3), q, W, gain, points, worth, *grid)
+    assert turn.tolist() == [0, 3, 1, 2]
