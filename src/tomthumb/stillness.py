@@ -7,17 +7,15 @@ walker's all point his way, the farther the longer he has been walking.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from tomthumb.kernels.gates import innovations
 from tomthumb.protocols import Sensor
 from tomthumb.types import Array, Ids, Observations, Predictions
-
-if TYPE_CHECKING:
-    from tomthumb.lifecycle import Ledger
 
 BENT = 0.3  # of the noise: a sighting whose linearisation leaves out more says nothing, for that all points one way too
 
@@ -43,8 +41,15 @@ class Drift:
         return float(self.way @ self.way) / self.ages if self.ages > 0.0 else 0.0
 
 
+class OnTrial(Protocol):
+    """What may still turn out to move: the scan of its first sighting, and its drift since."""
+
+    born: int
+    drift: Drift
+
+
 def record_drifts(
-    ledger: Ledger,
+    ledger: Mapping[int, OnTrial],
     crumbs: set[int],
     expected: tuple[Predictions, Ids],
     seen: Observations,
