@@ -85,7 +85,7 @@ def test_what_is_founded_at_a_grave_has_come_back_and_needs_two_sightings_more()
     assert len(branch.graves.graves) == 1
     np.testing.assert_allclose(branch.ledger[8].place[0], [4.0, 4.0])
     for count in range(1, POLICY.few + 1):
-        ready = lifecycle.promotions(branch.ledger, [7], 9, False, POLICY).tolist()
+        ready = lifecycle.promotions(branch.ledger, [7], 9, False, POLICY)[0].tolist()
         assert ready == ([7] if count == POLICY.few else [])
         lifecycle.record_hits(branch.ledger, [7], [1.0], 4, POLICY)
 

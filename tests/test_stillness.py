@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+import tomthumb
 from tomthumb.kernels.gates import innovations
-from tomthumb.lifecycle import Life, LifeCycle, promotions
+from tomthumb.lifecycle import Life, LifeCycle, promotions, restart
 from tomthumb.models.sensor import Cartesian
-from tomthumb.stillness import Drift, bent, given_others, record_drifts
+from tomthumb.stillness import Drift, given_others, record_drifts
 from tomthumb.types import Observations, Predictions
 
 GATE2 = float(chdtri(2, 0.01))
@@ -95,29 +96,33 @@ def test_a_crumb_that_was_seen_aside_of_the_stone_drifts() -> None:
     assert innovations(moved.z, predictions.z_hat, np.zeros(2, bool))[1, 1] @ [1.0, 0.0] == pytest.approx(0.3)
 
 
-def test_what_is_bent_is_the_arc_beside_its_tangent(rng: np.random.Generator) -> None:
-    point, sigma = np.array([3.0, 4.0]), 0.2
-    angles = 0.05 * rng.standard_normal(200_000)
-    turned = (
-        point[0] * np.cos(angles) - point[1] * np.sin(angles),
-        point[0] * np.sin(angles) + point[1] * np.cos(angles),
-    )
-    short = 5.0 - (np.column_stack(turned) @ point / 5.0).mean()
-    assert bent(point, sigma**2 * np.eye(2), 0.05**2, False) == pytest.approx(short / sigma, rel=0.02)
-    assert bent(point, np.diag([sigma**2, 1.0]), 0.05**2, True) == pytest.approx(short / sigma, rel=0.02)
-
-
-def test_one_that_drifts_begins_its_trial_anew() -> None:
+def test_one_that_drifts_begins_its_trial_anew_and_each_trial_is_twice_as_long() -> None:
     policy = LifeCycle()
     still, walker = Life(0, hits=6, chances=6, static=6), Life(0, hits=6, chances=6, static=6)
     walker.drift = Drift(np.array([math.sqrt(1.1 * GATE2), 0.0]), 1.0)
-    ledger = {1: still, 2: walker}
-    np.testing.assert_array_equal(promotions(ledger, [1, 2], policy.anchors, False, policy), [1])
+    ready, moving = promotions({1: still, 2: walker}, [1, 2], policy.anchors, False, policy)
+    assert (ready.tolist(), moving.tolist()) == ([1], [2])
+    restart({2: walker}, moving)
     assert (walker.static, walker.drift.ages) == (1, 0.0)
-    assert promotions({2: walker}, [2], policy.anchors, False, policy).size == 0
+    waits = 0
+    while not promotions({2: walker}, [2], policy.anchors, False, policy)[0].size:
+        walker.hits, walker.static, waits = walker.hits + 1, walker.static + 1, waits + 1
+    assert waits == 5
 
 
 @pytest.mark.parametrize("policy", [LifeCycle().faithful(), LifeCycle(still=0.0)])
 def test_who_does_not_ask_lets_walkers_pass(policy: LifeCycle) -> None:
     walker = Life(0, hits=6, chances=6, static=6, drift=Drift(np.array([9.0, 0.0]), 1.0))
-    np.testing.assert_array_equal(promotions({2: walker}, [2], 5, False, policy), [2])
+    ready, moving = promotions({2: walker}, [2], 5, False, policy)
+    assert (ready.tolist(), moving.tolist()) == ([2], [])
+
+
+def test_among_people_fewer_become_landmarks() -> None:
+    """Whole runs: the same worlds with and without."""
+    ghosts = dict.fromkeys((0.0, 0.99), 0)
+    for seed in (3, 4):
+        for still in ghosts:
+            world = tomthumb.load("cloister", seed=seed, people=50)
+            trace = tomthumb.run(world, associator="jcbb", seed=seed, settings={"slam": {"still": still}})
+            ghosts[still] += tomthumb.evaluate(trace, world)["ghosts"]
+    assert ghosts[0.99] < ghosts[0.0]

@@ -64,6 +64,11 @@ class LifeCycle:
         from_zero("slam", self, "gate still apart purge in_view", 1.0)
 
     @property
+    def looks_for_drift(self) -> bool:
+        """Whether what drifts is told from what stands."""
+        return self.still > 0.0 and not self.reference
+
+    @property
     def apart2(self) -> float:
         """Squared distance within which two things may be one."""
         return float(chdtri(2, 1.0 - self.apart))
@@ -172,20 +177,24 @@ def record_looks(ledger: Ledger, ids: Iterable[int], seen: Observations, rows: I
         life.looks = life.looks.and_seen(seen, row)
 
 
-def promotions(ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle) -> Ids:
-    """Crumbs with enough static hits, most of their hits static. `first`: there is no map yet.
-
-    One that drifts (outside the gate `still`) begins its trial anew.
+def promotions(
+    ledger: Ledger, crumbs: Iterable[int], stones_seen: int, first: bool, policy: LifeCycle
+) -> tuple[Ids, Ids]:
+    """Crumbs with enough static hits, most of their hits static: those that stand still, and those that drift (outside the
+    gate `still`). `first`: there is no map yet.
     """
     wanted = policy.hits if stones_seen >= policy.anchors else min(policy.few, policy.hits)
     wanted = 1 if first else wanted
     ready = [i for i in crumbs if ledger[i].static >= wanted and ledger[i].static > 0.5 * ledger[i].hits]
-    asked = policy.still > 0.0 and not policy.reference
-    gate2 = chdtri(2, 1.0 - policy.still) if asked else np.inf
-    moving = [i for i in ready if ledger[i].drift.d2 >= gate2]
-    for i in moving:
+    gate2 = chdtri(2, 1.0 - policy.still) if policy.looks_for_drift else np.inf
+    moving = np.array([ledger[i].drift.d2 >= gate2 for i in ready], bool)
+    return np.array(ready, np.int64)[~moving], np.array(ready, np.int64)[moving]
+
+
+def restart(ledger: Ledger, moving: Ids) -> None:
+    """Their trial begins anew. Most of all hits must be static then as ever, so each trial is twice as long as the last."""
+    for i in moving.tolist():
         ledger[i].static, ledger[i].drift = 1, Drift()
-    return np.array([i for i in ready if i not in moving], np.int64)
 
 
 def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: int, policy: LifeCycle) -> Ids:

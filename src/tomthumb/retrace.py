@@ -63,8 +63,8 @@ def retraced(
 
     Landmarks are founded as stones when they are first named; names without a life are passed over. Raises Diverged if the
     filter does not survive the names, or if the NIS of ten scans is `tear` standard deviations above what it should be.
-    `claimed`: masks (m,) of the names that are to be judged by that; of the others, given scan by scan, those that the
-    trail refutes are left out (None: all are judged).
+    `claimed`: masks (m,), entry by entry, of the names that must hold (None: all). Of the others the filter leaves out those
+    that the trail refutes, so that they do not tear it; the names themselves stay, in the history and in the lives.
     """
     claimed = [np.ones(len(ids), bool) for ids in names] if claimed is None else claimed
     belief, poses = _filtered(slam, diary, names, set(lives), tear, claimed)
@@ -134,7 +134,9 @@ def _take_in(walker: Slam, branch: Branch, scan: Scan, ids: Ids, held: set[int],
 
 
 def _refuted(walker: Slam, predictions: Predictions, scan: Scan, ids: Ids) -> Mask:
-    """Names (m,) so far from where their landmarks are now expected that no scan would have been given them; not -1."""
+    """Names (m,) so far from where their landmarks are now expected, by the first particle, that no scan would have been given
+    them, or not expected at all; not -1.
+    """
     column = {i: k for k, i in enumerate(predictions.ids.tolist())}
     match = np.array([column.get(i, -1) for i in ids.tolist()], np.int64)
     d2 = np.inf + np.zeros(len(ids))

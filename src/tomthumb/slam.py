@@ -234,9 +234,9 @@ class Slam:
         self._evidence(branch, predictions, matches[0], scan, ids)
         born, late = self._births(branch, scan, named)
         here, names = self.estimator.pose(branch.belief), np.where(born, scan.serials, ids)
-        record_drifts(
-            branch.ledger, branch.crumbs, (predictions, matches[0]), scan.honest, self.sensor, here[0], self.scan
-        )
+        if self.policy.looks_for_drift:
+            expected = predictions, matches[0]
+            record_drifts(branch.ledger, branch.crumbs, expected, scan.honest, self.sensor, here[0], self.scan)
         look_back(branch, here, self.sensor, scan.honest, names, born, self.policy)
         self._promote(branch, ids[hit].tolist() + scan.serials[born].tolist())
         self._bury(branch, predictions)
@@ -312,7 +312,9 @@ class Slam:
     def _promote(self, branch: Branch, candidates: list[int]) -> None:
         crumbs = [i for i in candidates if i in branch.crumbs]
         first = len(branch.crumbs) == len(branch.ledger)
-        ready = lifecycle.promotions(branch.ledger, crumbs, len(candidates) - len(crumbs), first, self.policy)
+        stones = len(candidates) - len(crumbs)
+        ready, moving = lifecycle.promotions(branch.ledger, crumbs, stones, first, self.policy)
+        lifecycle.restart(branch.ledger, moving)
         if len(ready):
             branch.belief = self.estimator.promote(branch.belief, ready)
             branch.crumbs.difference_update(ready.tolist())

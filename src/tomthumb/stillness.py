@@ -6,7 +6,6 @@ walker's all point his way, the farther the longer he has been walking.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from tomthumb.kernels.gates import innovations
+from tomthumb.kernels.posterior import bend
 from tomthumb.protocols import Sensor
 from tomthumb.types import Array, Ids, Observations, Predictions
 
@@ -70,9 +70,11 @@ def record_drifts(
     nu, S = joint(predictions, match[rows], seen.take(rows), sensor)
     left, own = given_others(nu, S, np.setdiff1d(np.arange(len(rows)), tried), tried)
     *_, by_z = sensor.locate(pose, seen.z[rows[tried]])
+    c, s = np.cos(sensor.frame(pose)[2]), np.sin(sensor.frame(pose)[2])
+    turned, heading = np.array([[c, -s], [s, c]]), float(predictions.pose_cov[2, 2])
     for k, T, x, C in zip(tried.tolist(), by_z, left, own, strict=True):
-        noise, point = seen.R[rows[k]], predictions.points[match[rows[k]]]
-        if bent(point, noise, float(predictions.pose_cov[2, 2]), bool(sensor.angles)) < BENT:
+        point, noise = turned @ predictions.points[match[rows[k]]], T @ seen.R[rows[k]] @ T.T
+        if bend(point[0], point[1], noise, heading) < BENT:
             life = ledger[ids[k]]
             life.drift = life.drift.and_seen(scan - life.born, T @ x, T @ C @ T.T)
 
@@ -99,12 +101,3 @@ def given_others(nu: Array, S: Array, known: Ids, tried: Ids) -> tuple[Array, Ar
     left = nu.ravel()[mine] - gain @ nu.ravel()[rest]
     own = S[np.ix_(mine, mine)] - gain @ S[np.ix_(rest, mine)]
     return left.reshape(-1, 2), np.array([own[k : k + 2, k : k + 2] for k in range(0, len(mine), 2)])
-
-
-def bent(point: Array, noise: Array, turn: float, polar: bool) -> float:
-    """What linearising the heading (variance `turn` rad2) leaves out of a point (2,) m of the sensor's frame, along the line of
-    sight, in standard deviations of the noise there (2, 2).
-    """
-    r = float(np.hypot(*point))
-    sight = np.array([1.0, 0.0]) if polar else point / max(r, 1e-9)
-    return 0.5 * r * turn / math.sqrt(float(sight @ noise @ sight))

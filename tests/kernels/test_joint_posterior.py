@@ -120,6 +120,16 @@ def test_what_linearising_leaves_out_is_what_large_motions_show(polar, r, turn, 
     assert seen.max() / 2.0 < told < 3.0 * seen.max()
 
 
+@pytest.mark.parametrize("R", [np.diag([0.04, 0.04]), np.array([[0.09, 0.05], [0.05, 0.04]]), np.diag([4e-4, 4e-2])])
+def test_what_a_heading_bends_is_the_arc_beside_its_tangent(R):
+    """The shift of the mean of a turned point, measured by the noise: the root of its d2."""
+    rng, x, y = np.random.default_rng(12), 3.0, 4.0
+    turn = 0.05 * rng.standard_normal(400_000)
+    shift = np.array([(x * np.cos(turn)).mean(), (y * np.cos(turn)).mean()]) - [x, y]
+    assert posterior.bend(x, y, R, 0.05**2) == pytest.approx(np.sqrt(shift @ np.linalg.solve(R, shift)), rel=0.02)
+    assert posterior.bend(0.0, 0.0, R, 0.05**2) == 0.0
+
+
 def test_with_a_joint_test_it_is_the_maximum_of_those_that_pass():
     from scipy.special import chdtri
 

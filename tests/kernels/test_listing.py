@@ -49,8 +49,8 @@ def test_it_is_the_sum_over_all_hypotheses(angles):
 
 @pytest.mark.parametrize(("kind", "size"), [("mid", 16), ("mid+sp", 12), ("dense+sp", 12)])
 def test_a_larger_scan_has_the_hypotheses_that_the_full_covariance_gives(kind, size):
-    """From `listing.MANY` observations on their order and the bound change on the way; nothing may be lost by it."""
-    assert size >= listing.MANY
+    """From `listing.LARGE` observations on their order and the bound change on the way; nothing may be lost by it."""
+    assert size >= listing.LARGE
     several = 0
     for scan in scans(kind, size, 12, 4):
         problem = scan.problem()
@@ -75,6 +75,43 @@ def test_a_larger_scan_has_the_hypotheses_that_the_full_covariance_gives(kind, s
         assert np.abs(none - share).max() < np.exp(-slack) * 10
         assert np.allclose(p.sum(1) + none, 1.0)
     assert several >= 3
+
+
+@pytest.mark.parametrize("sigma", [2.0, 4.5, 5.4, 6.0])
+def test_a_pose_far_from_where_it_was_believed_is_found(sigma):
+    """Twelve sightings agree on it, the first three tell little, and the last has a decoy where it was believed to be."""
+    m, n, own, noise = 12, 13, 0.01, 0.01
+    turn = np.linspace(0.0, 2.0 * np.pi, m, endpoint=False)
+    points = 5.0 * np.column_stack([np.cos(turn), np.sin(turn)])[[*range(m), m - 1]]
+    R = np.tile(noise**2 * np.eye(2), (m, 1, 1))
+    R[:3, 0, 0] = 10.0
+    B = np.zeros((2 * n, 3))
+    B[0::2, 0], B[1::2, 1], B[0::2, 2], B[1::2, 2] = 1.0, 1.0, -points[:, 1], points[:, 0]
+    P = np.diag([1.0, 1e-8, 1e-8])
+    C = B @ P @ B.T + own**2 * np.eye(2 * n)
+    nu = np.full((m, n, 2), 50.0)
+    nu[np.arange(m), np.arange(m)] = [sigma, 0.0]
+    nu[m - 1, n - 1] = 0.0
+    V = R + own**2 * np.eye(2)
+    base = np.tile(0.5 * np.log(np.linalg.det(V))[:, None] + np.log(2.0 * np.pi) + 2.0, (1, n))
+    start, columns = np.array([*range(m), n]), np.arange(n)
+    whole, p, none, best, value, _ = listing.listed(nu, C, R, base, P, B @ P, start, columns, 6.0, 10**7)
+    weights, shares, left = [], np.zeros((m, n)), np.zeros(m)
+    for which in range(1 << (m - 1)):  # every hypothesis: those of all but the last, and three of that
+        for last in (-1, m - 1, n - 1):
+            match = np.array([k if which >> k & 1 else -1 for k in range(m - 1)] + [last])
+            weights.append((posterior.value_of(match, nu, C, R, base)[0], match))
+    top = max(w for w, _ in weights)
+    for w, match in weights:
+        left += np.exp(w - top) * (match < 0)
+        shares[np.flatnonzero(match >= 0), match[match >= 0]] += np.exp(w - top)
+    total = sum(np.exp(w - top) for w, _ in weights)
+    assert whole
+    assert value == pytest.approx(top, abs=1e-6)
+    beyond = sum(np.exp(w - top) for w, _ in weights if w <= top - 6.0) / total  # of these some may be listed, or none
+    assert np.abs(none - left / total).max() <= beyond + 1e-9
+    assert np.abs(p - shares / total).max() <= beyond + 1e-9
+    assert posterior.value_of(best, nu, C, R, base)[0] == pytest.approx(top, abs=1e-6)
 
 
 def test_landmarks_that_err_together_given_the_pose_are_refused():
@@ -122,9 +159,12 @@ def test_anchors_that_the_pose_explains_are_brought_forward():
     points = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]])
     q = np.vstack([points, [[9.0, 9.0]]])  # the last one is of nothing
     grid = fill_grid(points, 0.5)
+    pose = np.array([1.0, -2.0, 0.7])  # the motion from where they were predicted to where they are seen
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    q = q @ np.array([[c, s], [-s, c]]) + pose[:2]
     turn, anchors = np.arange(4), np.array([[0, 1], [2, 4], [4, 3], [2, 3]])
     W, gain, worth = np.tile([100.0, 0.0, 100.0], (5, 1)), np.full(5, 4.0), np.zeros(4)
-    flights._bring_forward(turn, 1, anchors, np.zeros(3), q, W, gain, points, worth, *grid)
+    flights._bring_forward(turn, 1, anchors, pose, q, W, gain, points, worth, *grid)
     assert turn.tolist() == [0, 3, 1, 2]
-    flights._bring_forward(turn, 2, anchors, np.zeros(3), q, W, gain, points, worth, *grid)
+    flights._bring_forward(turn, 2, anchors, pose, q, W, gain, points, worth, *grid)
     assert turn.tolist() == [0, 3, 1, 2]

@@ -18,8 +18,8 @@ Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
 PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
-REMAINDER = 0.05  # covariance between two landmarks beside the pose's, over the noise, that is held to be none
-MANY = 12  # observations from which that saves more than it costs
+LARGE = 12  # observations from which that saves more than it costs
+REMAINDER = 0.05  # covariance of a landmark with all others, beside the pose's, over the noise, that is held to be none
 
 
 @jit
@@ -40,20 +40,20 @@ def listed(
     good, told, V, worth = _forms(nu, C, R, base, G, start, columns)
     if not good or not _common(C, G, V, columns):
         return False, p, none, best, most, 0
-    rest, known, value, sums, choice, gains, at, count = _levels(order, start, worth)
-    match, used, bound = np.full(m, -1, np.int64), np.zeros(n, np.bool_), 0  # bound: the row of `rest` that holds here
-    s, nodes, first, floor = 0, 0, 0.0, -np.inf
+    rest, known, value, loose, sums, choice, gains, at, count = _levels(order, start, worth)
+    match, used, ideal = np.full(m, -1, np.int64), np.zeros(n, np.bool_), np.zeros(columns.shape[0] + 1)
+    s, nodes, first, floor, looked = 0, 0, 0.0, -np.inf, False
     while True:
         if s < m:  # entered from above
-            if s == PLACED and m >= MANY:
-                bound = s
-                _looked_over(rest, order, s, value[s], known, slack, nu, G, told, V, worth, start, columns, used)
+            if s == PLACED and m >= LARGE:
+                looked, loose[s] = True, value[s]
+                _looked_over(rest, ideal, order, s, value[s], known, slack, nu, G, told, V, worth, start, columns, used)
             i = order[s]
             at[s], sums[s] = 0, 0.0
             nodes += start[i + 1] - start[i] + 1
             if nodes > budget:
                 return False, p, none, best, most, nodes
-            limit = floor - rest[bound, s + 1]
+            limit = floor - rest[0, s + 1]
             count[s] = _choices(choice, gains, s, i, value[s], known, told, start, columns, used, limit)
         else:
             first = value[m] if most == -np.inf else first
@@ -61,21 +61,20 @@ def listed(
                 most, floor = value[m], value[m] - slack
                 best[:] = match
             sums[m] = math.exp(value[m] - first)
-        while s == m or at[s] == count[s] or gains[s, at[s]] + rest[bound, s + 1] <= floor:
-            if s == 0:
-                return True, p / sums[0], none / sums[0], best, most, nodes
-            bound = 0 if s == PLACED else bound
-            s -= 1
-            i = order[s]
-            if match[i] >= 0:
-                p[i, match[i]] += sums[s + 1]
-                used[match[i]] = False
-            else:
-                none[i] += sums[s + 1]
-            sums[s] += sums[s + 1]
-            match[i] = -1
+        while True:
+            while s == m or at[s] == count[s] or gains[s, at[s]] + rest[0, s + 1] <= floor:
+                if s == 0:
+                    return True, p / sums[0], none / sums[0], best, most, nodes
+                looked = looked and s != PLACED
+                s -= 1
+                _taken_back(order[s], sums[s + 1], p, none, match, used)
+                sums[s] += sums[s + 1]
+                at[s] += 1
+            c = choice[s, at[s]]
+            loose[s + 1] = loose[s] + ideal[c]  # the last of ideal, 0, is that of nothing, -1
+            if not looked or loose[s + 1] + rest[1, s + 1] > floor:
+                break
             at[s] += 1
-        c = choice[s, at[s]]
         value[s + 1] = gains[s, at[s]]
         for k in range(10):
             known[s + 1, k] = known[s, k] + (told[c, k] if c >= 0 else 0.0)
@@ -83,6 +82,17 @@ def listed(
             match[order[s]] = columns[c]
             used[columns[c]] = True
         s += 1
+
+
+@jit
+def _taken_back(i: int, weight: float, p: Array, none: Array, match: Array, used: Array) -> None:
+    """What observation i was, with all that came of it, has this weight; it is nothing again."""
+    if match[i] >= 0:
+        p[i, match[i]] += weight
+        used[match[i]] = False
+    else:
+        none[i] += weight
+    match[i] = -1
 
 
 @jit
@@ -142,7 +152,7 @@ def _forms(
 
 @jit
 def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
-    """True when G leaves nothing between any two of the listed landmarks that counts beside the noise of a pairing.
+    """True when G leaves nothing between a listed landmark and all others together that counts beside the noise of a pairing.
 
     The noise is that of a component given the other, the least of all pairings (V): it decides where it is narrow.
     """
@@ -153,28 +163,28 @@ def _common(C: Array, G: Array, V: Array, columns: Array) -> bool:
         named[columns[c]] = True
     some = np.flatnonzero(named)
     for a in some:
-        for b in some:
-            if b >= a:
-                break
-            for u in range(2):
+        for u in range(2):
+            over = 0.0
+            for b in some:
                 for v in range(2):
                     r, t = 2 * a + u, 2 * b + v
-                    over = C[r, t] - G[r, 0] * G[t, 0] - G[r, 1] * G[t, 1] - G[r, 2] * G[t, 2]
-                    if over * over > REMAINDER**2 * least[u] * least[v]:
-                        return False
+                    left = C[r, t] - G[r, 0] * G[t, 0] - G[r, 1] * G[t, 1] - G[r, 2] * G[t, 2]
+                    over += abs(left) / math.sqrt(least[u] * least[v]) if a != b else 0.0
+            if over > REMAINDER:
+                return False
     return True
 
 
 @jit
 def _levels(
     order: Array, start: Array, worth: Array
-) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    """What is kept of each level s: rest, known, L, sums of weights, choices with their L, the one tried, their count.
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    """What is kept of each level s: rest, known, L, a bound of it, sums of weights, choices and their L, the one tried, how many.
 
     rest[0, s]: what the observations order[s:] could add at perfect fits. known[s]: A (lower half by rows), h and the constant.
     """
     m, width = order.shape[0], 1 + (start[1:] - start[:-1]).max()
-    rest, known = np.zeros((m + 1, m + 1)), np.zeros((m + 1, 10))
+    rest, known = np.zeros((2, m + 1)), np.zeros((m + 1, 10))
     known[0, 0], known[0, 2], known[0, 5] = 1.0, 1.0, 1.0
     for s in range(m - 1, -1, -1):
         most = 0.0
@@ -182,7 +192,8 @@ def _levels(
             most = max(most, worth[c])
         rest[0, s] = rest[0, s + 1] + most
     choice, gains = np.empty((m, width), np.int64), np.empty((m, width))
-    return rest, known, np.zeros(m + 1), np.zeros(m + 1), choice, gains, np.zeros(m, np.int64), np.zeros(m, np.int64)
+    value, loose, sums = np.zeros(m + 1), np.zeros(m + 1), np.zeros(m + 1)
+    return rest, known, value, loose, sums, choice, gains, np.zeros(m, np.int64), np.zeros(m, np.int64)
 
 
 @jit
@@ -226,36 +237,37 @@ def _posterior(known: Array, s: int, told: Array, c: int) -> float:
 
 @jit
 def _looked_over(
-    rest: Array, order: Array, s: int, value: float, known: Array, slack: float, nu: Array, G: Array, told: Array, V: Array,
-    worth: Array, start: Array, columns: Array, used: Array,
+    rest: Array, ideal: Array, order: Array, s: int, value: float, known: Array, slack: float, nu: Array, G: Array,
+    told: Array, V: Array, worth: Array, start: Array, columns: Array, used: Array,
 ) -> None:  # fmt: skip
-    """order[s:] and rest[s, s:] again, in place, now that a few pairings tell the motion.
+    """order[s:] and what follows level s in `rest` again, in place, now that a few pairings tell the motion.
 
-    First the observations whose best choice lies farthest below its bound, by how many choices they have within `slack`: they
-    settle most at least cost.
+    ideal: the most that each pairing can gain from here on, for its share of what moving the motion costs; rest[1]: sums of the
+    best. All of a hypothesis's together bound its L, not those of the open ones after the others' true gains: who came first has
+    paid for the motion already. First the observations whose best choice lies farthest below its bound, by how many choices
+    they have within `slack`: they settle most at least cost.
     """
     m, x, U = order.shape[0], np.empty(3), np.empty((3, 3))
     _motion(known, s, x, U)
-    urgent, most, gains = np.empty(m), np.empty(m), np.empty(columns.shape[0])
+    urgent, most, perfect, gains = np.empty(m), np.empty(m), np.empty(m), np.empty(columns.shape[0])
     for t in range(s, m):
-        i, top, best, choices = order[t], 0.0, 0.0, 0.0
+        i, top, high, best, choices = order[t], 0.0, 0.0, 0.0, 0.0
         for c in range(start[i], start[i + 1]):
             gains[c] = -np.inf
             if not used[columns[c]]:
                 gains[c] = _posterior(known, s, told, c) - value
-                best = max(best, gains[c])
-                if worth[c] > top:
-                    top = max(top, worth[c] - _least(nu, i, columns[c], c, G, V, x, U, m - s))
+                ideal[c] = worth[c] - _least(nu, i, columns[c], c, G, V, x, U, m - s)
+                best, top, high = max(best, gains[c]), max(top, ideal[c]), max(high, worth[c])
         for c in range(start[i], start[i + 1]):
             choices += gains[c] > best - slack
         urgency, k = (top - best) / (choices + (best < slack)), t
         while k > s and urgent[k - 1] < urgency:
-            urgent[k], most[k], order[k] = urgent[k - 1], most[k - 1], order[k - 1]
+            urgent[k], most[k], perfect[k], order[k] = urgent[k - 1], most[k - 1], perfect[k - 1], order[k - 1]
             k -= 1
-        urgent[k], most[k], order[k] = urgency, top, i
-    rest[s, m] = 0.0
-    for t in range(m - 1, s - 1, -1):
-        rest[s, t] = rest[s, t + 1] + most[t]
+        urgent[k], most[k], perfect[k], order[k] = urgency, top, high, i
+    rest[1, m] = 0.0
+    for t in range(m - 1, s, -1):  # rest[:, s] itself is for the level above, whose other choices leave other landmarks
+        rest[0, t], rest[1, t] = rest[0, t + 1] + perfect[t], rest[1, t + 1] + most[t]
 
 
 @jit

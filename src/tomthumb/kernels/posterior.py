@@ -287,21 +287,27 @@ def listed(
 
 
 @jit
+def bend(x: float, y: float, R: Array, turn: float) -> float:
+    """What linearising the heading (variance `turn`) leaves out of a point, in standard deviations of its noise R (2, 2).
+
+    An arc beside its tangent: r turn / 2 back along the line of sight, so turn / 2 times the length of (x, y) by R^-1.
+    """
+    square = R[1, 1] * x * x - (R[0, 1] + R[1, 0]) * x * y + R[0, 0] * y * y
+    return 0.5 * turn * math.sqrt(square / (R[0, 0] * R[1, 1] - R[0, 1] * R[1, 0]))
+
+
+@jit
 def bent(z: Array, R: Array, z_hat: Array, C: Array, turn: float, polar: bool) -> float:
     """What linearising the pose leaves out, one sigma, over the noise: the largest of all.
 
-    An arc beside its tangent, along the line of sight: r v / 2, v the variance of the heading, `turn`, for points z (m, 2), or of
-    the bearing, for predictions z_hat (n, 2) with covariance C (2n, 2n); and for a bearing, the range it was taken at: sigma of
-    the one times that of the other, over the range.
+    For points z (m, 2) it is `bend`; for range and bearing the arc of the bearing, r v / 2, v its variance, and the range that a
+    bearing was taken at: sigma of the one times that of the other, over the range, of predictions z_hat (n, 2) with covariance C.
     """
     most, across, along = 0.0, np.inf, np.inf
     for i in range(R.shape[0]):
-        if polar:
-            along, across = min(along, math.sqrt(R[i, 0, 0])), min(across, math.sqrt(R[i, 1, 1]))
-        else:
-            x, y, r2 = z[i, 0], z[i, 1], max(z[i, 0] ** 2 + z[i, 1] ** 2, 1e-18)
-            sight = (R[i, 0, 0] * x * x + 2.0 * R[i, 0, 1] * x * y + R[i, 1, 1] * y * y) / r2
-            most = max(most, 0.5 * math.sqrt(r2) * turn / math.sqrt(sight))
+        along, across = min(along, math.sqrt(R[i, 0, 0])), min(across, math.sqrt(R[i, 1, 1]))
+        if not polar:
+            most = max(most, bend(z[i, 0], z[i, 1], R[i], turn))
     if polar:
         for j in range(z_hat.shape[0]):
             v, r = C[2 * j + 1, 2 * j + 1], z_hat[j, 0]

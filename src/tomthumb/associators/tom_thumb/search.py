@@ -38,7 +38,7 @@ SMALL = 30  # observations from which a scan is large
 CERTAIN = 6  # observations up to which the certificate comes first in a hard scan: it costs little there
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
-SHORT, SOON = 64, 4000  # the same where landmarks err together even given the pose: nodes are dearer there
+SHORT, SOON = 64, 2000  # the same where landmarks err together even given the pose: nodes are dearer there
 MANY = 256  # hypotheses that may be listed then
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
@@ -183,7 +183,7 @@ class TomThumb:
             whole, p, none, _best, value, nodes = listing.listed(*given, *pose, *lists, self.listed, LATER)
         if nodes == 0 and len(near.columns) <= SHORT:
             whole, p, none, _best, value, nodes = posterior.listed(
-                *given, *lists, gate_of_two(self.gates[1]), self.listed, min(self.nodes, SOON), MANY
+                *given, *lists, gate_of_two(self.gates[1]), self.listed, SOON, MANY
             )
         if not whole:
             return None
