@@ -99,7 +99,7 @@ def test_a_crumb_that_was_seen_aside_of_the_stone_drifts() -> None:
 def test_one_that_drifts_begins_its_trial_anew_and_each_trial_is_twice_as_long() -> None:
     policy = LifeCycle()
     still, walker = Life(0, hits=6, chances=6, static=6), Life(0, hits=6, chances=6, static=6)
-    walker.drift = Drift(np.array([math.sqrt(1.1 * GATE2), 0.0]), 1.0)
+    walker.drift = Drift((math.sqrt(1.1 * GATE2), 0.0), 1.0)
     ready, moving = promotions({1: still, 2: walker}, [1, 2], policy.anchors, False, policy)
     assert (ready.tolist(), moving.tolist()) == ([1], [2])
     restart({2: walker}, moving)
@@ -112,7 +112,7 @@ def test_one_that_drifts_begins_its_trial_anew_and_each_trial_is_twice_as_long()
 
 @pytest.mark.parametrize("policy", [LifeCycle().faithful(), LifeCycle(still=0.0)])
 def test_who_does_not_ask_lets_walkers_pass(policy: LifeCycle) -> None:
-    walker = Life(0, hits=6, chances=6, static=6, drift=Drift(np.array([9.0, 0.0]), 1.0))
+    walker = Life(0, hits=6, chances=6, static=6, drift=Drift((9.0, 0.0), 1.0))
     ready, moving = promotions({2: walker}, [2], 5, False, policy)
     assert (ready.tolist(), moving.tolist()) == ([2], [])
 

@@ -7,7 +7,7 @@ walker's all point his way, the farther the longer he has been walking.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -26,19 +26,20 @@ class Drift:
     the sum of the squared ages. Of a landmark, the one by the root of the other is standard normal.
     """
 
-    way: Array = field(default_factory=lambda: np.zeros(2))
+    way: tuple[float, float] = (0.0, 0.0)
     ages: float = 0.0
 
     def and_seen(self, age: int, nu: Array, S: Array) -> Drift:
         """One more sighting, `age` scans after the first, nu (2,) m from where it was expected with covariance S (2, 2) m2."""
         values, axes = np.linalg.eigh(S)
         white = axes @ ((axes.T @ nu) / np.sqrt(np.maximum(values, 1e-12)))
-        return Drift(self.way + age * white, self.ages + age * age)
+        way = (self.way[0] + age * float(white[0]), self.way[1] + age * float(white[1]))
+        return Drift(way, self.ages + age * age)
 
     @property
     def d2(self) -> float:
         """Chi-square of 2 degrees of freedom for what stands still."""
-        return float(self.way @ self.way) / self.ages if self.ages > 0.0 else 0.0
+        return (self.way[0] ** 2 + self.way[1] ** 2) / self.ages if self.ages > 0.0 else 0.0
 
 
 class OnTrial(Protocol):
