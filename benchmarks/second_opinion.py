@@ -1,0 +1,133 @@
+"""Where two associators differ on a log: every problem of one's run is put to the other too, and both held against the truth.
+
+    python benchmarks/second_opinion.py LOG [--first stt] [--second jcbb] [--set slam.present=true] [--shaken N]
+
+LOG as `tomthumb run` takes it, with labels. A landmark is what most of its sightings so far were of; to leave an observation
+unpaired is right where no landmark of the map is that. Then the first one's confidence: of decisions of some confidence, how
+many are right. With --shaken the run is also made N times with every sighting moved by a tenth of its noise: match rate, IDF1
+and ATE of both, mean and standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+import tomthumb
+from tomthumb.cli.common import read_settings
+from tomthumb.protocols import Associator, Rng
+from tomthumb.runner import Settings, prepare
+from tomthumb.types import Array, Association, AssociationProblem, Ids, Scenario
+
+SHARE = 0.1  # of the noise, by which sightings are moved
+LEVELS = (0.5, 0.9, 0.99)
+
+
+@dataclass(slots=True)
+class Witness:
+    """Decides as `first` does, and notes what `second` would have: problems, and both answers."""
+
+    first: Associator
+    second: Associator
+    noted: list[tuple[AssociationProblem, Association, Association]] = field(default_factory=list)
+
+    def associate(self, problem: AssociationProblem, rng: Rng) -> Sequence[Association]:
+        """See `protocols.Associator`."""
+        answers = self.first.associate(problem, rng)
+        self.noted.append((problem, answers[0], self.second.associate(problem, rng)[0]))
+        return answers
+
+    def learn(self, ids: Ids, t: float) -> None:
+        """See `protocols.Associator`."""
+        self.first.learn(ids, t)
+
+
+def verdicts(
+    scenario: Scenario, first: str, second: str, settings: Settings
+) -> Iterator[tuple[bool, bool, bool, float]]:
+    """Of each decision of the run: whether the first is right, the second, whether the first paired, and its confidence."""
+    slam = prepare(scenario, associator=first, settings=settings)
+    slam.associator = witness = Witness(slam.associator, prepare(scenario, associator=second).associator)
+    truth, seen = scenario.true_ids(), defaultdict[int, Counter[int]](Counter)
+    for record in slam.stream(scenario.steps):
+        for problem, mine, other in witness.noted:
+            what = {int(i): seen[int(i)].most_common(1)[0][0] for i in problem.predictions.ids if seen[int(i)]}
+            there = set(what.values())
+            sure = np.ones(len(mine.match)) if mine.confidence is None else mine.confidence
+            for row, serial in enumerate(problem.serials.tolist()):
+                true = int(truth[serial])
+                if true < -1:
+                    continue
+                right = []
+                for match in (int(mine.match[row]), int(other.match[row])):
+                    called = what.get(int(problem.predictions.ids[match]), -2) if match >= 0 else -1
+                    right.append(called == true if match >= 0 else true not in there)
+                yield right[0], right[1], bool(mine.match[row] >= 0), float(sure[row])
+        witness.noted.clear()
+        for i, serial in zip(record.ids.tolist(), record.serials.tolist(), strict=True):
+            if i >= 0 and truth[serial] >= -1:
+                seen[i][int(truth[serial])] += 1
+
+
+def compared(found: Array, first: str, second: str) -> Iterator[str]:
+    """The lines that are told: who was right where they differ, and how sure the first was."""
+    one, other, paired, sure = found.T
+    better, worse = int((one > other).sum()), int((other > one).sum())
+    yield f"{len(found)} decisions: {first} right, {second} wrong: {better}; the other way round: {worse}"
+    for name, kind in (("left unpaired", paired == 0), ("paired", paired == 1)):
+        for low, high in zip(LEVELS, (*LEVELS[1:], 1.0), strict=True):
+            those = kind & (sure >= low) & (sure < high)
+            yield f"{name}, {low:.0%} to {high:.0%} sure: {int(one[those].sum())} of {int(those.sum())} right"
+
+
+def shaken(scenario: Scenario, seed: int) -> Scenario:
+    """The same log with every sighting moved by a share of its noise."""
+    rng, steps = np.random.default_rng(seed), []
+    for step in scenario.steps:
+        seen = step.observations
+        if seen is not None and len(seen):
+            noise = np.linalg.cholesky(seen.R) @ rng.standard_normal((len(seen), 2, 1))
+            step = replace(step, observations=replace(seen, z=seen.z + SHARE * noise[..., 0]))
+        steps.append(step)
+    return replace(scenario, steps=steps)
+
+
+def repeated(scenario: Scenario, who: str, runs: int, settings: Settings) -> str:
+    """One line: means and standard errors over shaken runs."""
+    worlds = [shaken(scenario, seed) for seed in range(runs)]
+    rows = [tomthumb.evaluate(tomthumb.run(w, associator=who, settings=settings), w) for w in worlds]
+    told: list[str] = []
+    for key, scale, unit in (("match_rate", 100.0, "%"), ("idf1", 100.0, "%"), ("ate_m", 1.0, "m")):
+        values = scale * np.array([row[key] for row in rows], float)
+        error = values.std(ddof=1) / math.sqrt(runs) if runs > 1 else math.nan
+        told.append(f"{key} {values.mean():.2f} +- {error:.2f} {unit}")
+    return f"{who}, {runs} times shaken: " + ", ".join(told)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("log")
+    parser.add_argument("--first", default="stt")
+    parser.add_argument("--second", default="jcbb")
+    parser.add_argument(
+        "--set", dest="settings", action="append", default=[], help="of the first, as `tomthumb run` takes them"
+    )
+    parser.add_argument("--shaken", type=int, default=0)
+    options = parser.parse_args()
+    told = read_settings(None, options.settings)
+    settings: Settings = {part: told.get(part, {}) for part in ("associator", "estimator", "slam")}
+    scenario = tomthumb.load(options.log)
+    found = np.array(list(verdicts(scenario, options.first, options.second, settings)), float)
+    print(*compared(found, options.first, options.second), sep="\n")
+    for who, its in ((options.first, settings), (options.second, {})):
+        if options.shaken:
+            print(repeated(scenario, who, options.shaken, its), flush=True)
+
+
+if __name__ == "__main__":
+    main()
