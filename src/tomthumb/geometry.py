@@ -7,6 +7,7 @@ Every function takes and returns plain float64 arrays.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,13 @@ def wrap(angle: Array) -> Array:
 def wrap_angle(angle: float) -> float:
     """One angle brought to [-pi, pi), rad."""
     return (angle + math.pi) % TWO_PI - math.pi
+
+
+def wrapped(angles: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Which of the two components of z (2,) are angles and wrap, of their indices, as a sensor gives them."""
+    flags = np.zeros(2, np.bool_)
+    flags[list(angles)] = True
+    return flags
 
 
 def rotation(heading: float) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 
 from tomthumb.branches import Branch, Scan
 from tomthumb.errors import Diverged
+from tomthumb.geometry import wrapped
 from tomthumb.graves import Graveyard
 from tomthumb.kernels.gates import paired_distances
 from tomthumb.lifecycle import Life
@@ -142,8 +143,7 @@ def _refuted(walker: Slam, predictions: Predictions, scan: Scan, ids: Ids) -> Ma
     d2 = np.inf + np.zeros(len(ids))
     rows = np.flatnonzero(match >= 0)
     if len(rows):
-        flags = np.zeros(2, bool)
-        flags[list(walker.sensor.angles)] = True
+        flags = wrapped(walker.sensor.angles)
         d2[rows] = paired_distances(
             scan.honest.z, scan.honest.R, predictions.z_hat, predictions.cov, rows, match[rows], flags
         )

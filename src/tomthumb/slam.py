@@ -20,6 +20,7 @@ from tomthumb.branches import Branch, Scan, apart
 from tomthumb.checks import check_step
 from tomthumb.court import Court
 from tomthumb.errors import Diverged
+from tomthumb.geometry import wrapped
 from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
 from tomthumb.lifecycle import Ledger, Life, LifeCycle
@@ -210,7 +211,7 @@ class Slam:
 
     def problem(self, predictions: Predictions, seen: Observations, serials: Ids) -> AssociationProblem:
         """The scan against one set of predictions, as associators are given it."""
-        nu = innovations(seen.z, predictions.z_hat, _wrapped(self.sensor))
+        nu = innovations(seen.z, predictions.z_hat, wrapped(self.sensor.angles))
         density = (self.sensor.clutter + self.clutter.density) * self.sensor.scale(seen.z)
         looks = weigh(seen, predictions, self.crowd, self.weight)
         return AssociationProblem(
@@ -249,9 +250,9 @@ class Slam:
     def _evidence(self, branch: Branch, predictions: Predictions, match: Ids, scan: Scan, ids: Ids) -> None:
         rows = np.flatnonzero(ids >= 0)
         paired = ids[rows].tolist()
-        d2 = _pair_distances(predictions, scan.honest, match, rows, _wrapped(self.sensor))
+        d2 = _pair_distances(predictions, scan.honest, match, rows, wrapped(self.sensor.angles))
         if branch is self.branches[0]:
-            self.surprise.record(_pair_distances(predictions, scan.raw, match, rows, _wrapped(self.sensor)))
+            self.surprise.record(_pair_distances(predictions, scan.raw, match, rows, wrapped(self.sensor.angles)))
         lifecycle.record_hits(branch.ledger, paired, d2, self.scan, self.policy)
         self._opportunities(branch, predictions, set(paired), scan)
         lifecycle.record_companions(branch.ledger, paired)
@@ -379,15 +380,9 @@ def _among(ids: Ids, crumbs: set[int]) -> Mask:
     return found
 
 
-def _wrapped(sensor: Sensor) -> Mask:
-    flags: Mask = np.zeros(2, bool)
-    flags[list(sensor.angles)] = True
-    return flags
-
-
-def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, wrapped: Mask) -> list[float]:
+def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, flags: Mask) -> list[float]:
     """d2 of each pairing at the prior."""
     if not len(rows):
         return []
-    d2: Array = paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], wrapped)
+    d2: Array = paired_distances(seen.z, seen.R, predictions.z_hat, predictions.cov, rows, match[rows], flags)
     return [float(value) for value in d2]

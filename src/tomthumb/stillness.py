@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from tomthumb.geometry import rotation, wrapped
 from tomthumb.kernels.gates import innovations
 from tomthumb.kernels.posterior import bend
 from tomthumb.protocols import Sensor
@@ -71,8 +72,7 @@ def record_drifts(
     nu, S = joint(predictions, match[rows], seen.take(rows), sensor)
     left, own = given_others(nu, S, np.setdiff1d(np.arange(len(rows)), tried), tried)
     *_, by_z = sensor.locate(pose, seen.z[rows[tried]])
-    c, s = np.cos(sensor.frame(pose)[2]), np.sin(sensor.frame(pose)[2])
-    turned, heading = np.array([[c, -s], [s, c]]), float(predictions.pose_cov[2, 2])
+    turned, heading = rotation(float(sensor.frame(pose)[2])), float(predictions.pose_cov[2, 2])
     for k, T, x, C in zip(tried.tolist(), by_z, left, own, strict=True):
         point, noise = turned @ predictions.points[match[rows[k]]], T @ seen.R[rows[k]] @ T.T
         if bend(point[0], point[1], noise, heading) < BENT:
@@ -82,8 +82,8 @@ def record_drifts(
 
 def joint(predictions: Predictions, columns: Ids, seen: Observations, sensor: Sensor) -> tuple[Array, Array]:
     """Innovations (k, 2) of pairings and their joint covariance (2k, 2k)."""
-    k, wrapped = len(columns), np.isin([0, 1], sensor.angles)
-    nu = innovations(seen.z, predictions.z_hat[columns], wrapped)[np.arange(k), np.arange(k)]
+    k = len(columns)
+    nu = innovations(seen.z, predictions.z_hat[columns], wrapped(sensor.angles))[np.arange(k), np.arange(k)]
     where = (2 * columns[:, None] + np.arange(2)).ravel()
     S = predictions.cov[np.ix_(where, where)]
     for i in range(k):

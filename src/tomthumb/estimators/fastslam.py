@@ -201,7 +201,15 @@ class FastSLAM:
         """
         v = self._look(belief)
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, self._wrapped(), float(chdtri(2, 1.0 - self.gate)))
+        match = kernel.name(
+            z,
+            R,
+            v.z_hat,
+            v.C,
+            v.chance > UNSEEN,
+            geometry.wrapped(self.sensor.angles),
+            float(chdtri(2, 1.0 - self.gate)),
+        )
         named: Ids = np.where(match >= 0, belief.maps.ids[v.slots][match], -1) if len(v.slots) else match
         return named
 
@@ -244,7 +252,7 @@ class FastSLAM:
         for k in self.sensor.angles:
             residual[:, k] = geometry.wrap(residual[:, k])
         raised = echo.listen(b.echo, slots[0], residual / np.sqrt(R[:, [0, 1], [0, 1]]))
-        raised[~self._wrapped()] = 1.0
+        raised[~geometry.wrapped(self.sensor.angles)] = 1.0
         factor: Array = np.sqrt(np.outer(raised, raised))
         return factor
 
@@ -261,7 +269,7 @@ class FastSLAM:
             z_hat, H = _expect(self.sensor, moved)
             Hx, noise = particles.by_motion(H, moved, turned, shift)
             total, nis, shift, cov = kernel.propose_all(
-                z, R, firm, z_hat, Hx, noise, shift, b.pose, b.cov, self._wrapped()
+                z, R, firm, z_hat, Hx, noise, shift, b.pose, b.cov, geometry.wrapped(self.sensor.angles)
             )  # fmt: skip
         b.log_weight += total
         b.stats = {"nis": float(nis[0]), "dof": 2 * int(firm[0].sum()), "iterations": self.iterations}
@@ -273,11 +281,10 @@ class FastSLAM:
         points, spread = _of_each(b.pose, slots, b.maps)
         z_hat, H = _expect(self.sensor, points)
         pages.reserve(b.maps, pages.columns_of(slots))
-        kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, self._wrapped(), *pages.arrays(b.maps))
+        kernel.absorb(
+            b.pose, points, spread, slots, z, R, z_hat, H, geometry.wrapped(self.sensor.angles), *pages.arrays(b.maps)
+        )
         kernel.boxes(pages.distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
-
-    def _wrapped(self) -> Any:
-        return np.array([k in self.sensor.angles for k in range(2)])
 
     # --- landmarks ----------------------------------------------------------------------------------------------------
 
