@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ import numpy as np
 
 import tomthumb
 from tomthumb.cli.common import read_settings
+from tomthumb.errors import TomThumbError
 from tomthumb.protocols import Associator, Rng
 from tomthumb.runner import Settings, prepare
 from tomthumb.types import Array, Association, AssociationProblem, Ids, Scenario
@@ -101,12 +103,25 @@ def repeated(scenario: Scenario, who: str, runs: int, settings: Settings) -> str
     """One line: means and standard errors over shaken runs."""
     worlds = [shaken(scenario, seed) for seed in range(runs)]
     rows = [tomthumb.evaluate(tomthumb.run(w, associator=who, settings=settings), w) for w in worlds]
-    told: list[str] = []
+    parts: list[str] = []
     for key, scale, unit in (("match_rate", 100.0, "%"), ("idf1", 100.0, "%"), ("ate_m", 1.0, "m")):
         values = scale * np.array([row[key] for row in rows], float)
         error = values.std(ddof=1) / math.sqrt(runs) if runs > 1 else math.nan
-        told.append(f"{key} {values.mean():.2f} +- {error:.2f} {unit}")
-    return f"{who}, {runs} times shaken: " + ", ".join(told)
+        parts.append(f"{key} {values.mean():.2f} +- {error:.2f} {unit}")
+    return f"{who}, {runs} times shaken: " + ", ".join(parts)
+
+
+def told(log: str, first: str, second: str, sets: Sequence[str], runs: int) -> Iterator[str]:
+    """All lines. Raises TomThumbError for a log without labels, and for what `tomthumb run` would refuse."""
+    given = read_settings(None, list(sets))
+    settings: Settings = {part: given.get(part, {}) for part in ("associator", "estimator", "slam")}
+    scenario = tomthumb.load(log)
+    found = list(verdicts(scenario, first, second, settings))
+    if not found:
+        raise TomThumbError(f"{log}: no sighting has a label to judge by")
+    yield from compared(np.array(found, float), first, second)
+    if runs:
+        yield from (repeated(scenario, who, runs, its) for who, its in ((first, settings), (second, {})))
 
 
 def main() -> None:
@@ -115,18 +130,22 @@ def main() -> None:
     parser.add_argument("--first", default="stt")
     parser.add_argument("--second", default="jcbb")
     parser.add_argument(
-        "--set", dest="settings", action="append", default=[], help="of the first, as `tomthumb run` takes them"
+        "--set", dest="sets", action="append", default=[], help="of the first, as `tomthumb run` takes them"
     )
-    parser.add_argument("--shaken", type=int, default=0)
+    parser.add_argument("--shaken", type=int, default=0, metavar="N")
     options = parser.parse_args()
-    told = read_settings(None, options.settings)
-    settings: Settings = {part: told.get(part, {}) for part in ("associator", "estimator", "slam")}
-    scenario = tomthumb.load(options.log)
-    found = np.array(list(verdicts(scenario, options.first, options.second, settings)), float)
-    print(*compared(found, options.first, options.second), sep="\n")
-    for who, its in ((options.first, settings), (options.second, {})):
-        if options.shaken:
-            print(repeated(scenario, who, options.shaken, its), flush=True)
+    if options.shaken < 0:
+        parser.error(f"--shaken {options.shaken}: a number from 0 on")
+    try:
+        for line in told(options.log, options.first, options.second, options.sets, options.shaken):
+            print(line, flush=True)
+    except TomThumbError as error:
+        sys.exit(_refused(error))
+
+
+def _refused(error: TomThumbError) -> int:
+    print(f"error: {error}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

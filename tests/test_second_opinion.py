@@ -10,7 +10,9 @@ import tomthumb
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from second_opinion import SHARE, compared, shaken, verdicts
+from second_opinion import SHARE, compared, shaken, told, verdicts
+
+from tomthumb.errors import TomThumbError
 
 
 def found(first: str, second: str) -> np.ndarray:
@@ -40,3 +42,11 @@ def test_a_shaken_log_is_moved_by_a_share_of_its_noise() -> None:
             away = (other.observations.z - one.observations.z)[..., None]
             d2 += (away.transpose(0, 2, 1) @ np.linalg.solve(one.observations.R, away)).ravel().tolist()
     assert np.mean(d2) == pytest.approx(2.0 * SHARE**2, rel=0.1)
+
+
+def test_what_cannot_be_judged_is_one_clear_line() -> None:
+    for log, second, says in (("nosuch", "jcbb", "unknown scenario"), ("cloister", "nosuch", "unknown associator")):
+        with pytest.raises(TomThumbError, match=says):
+            list(told(log, "nn", second, [], 0))
+    with pytest.raises(TomThumbError, match="still"):
+        list(told("cloister", "stt", "nn", ["slam.still=2"], 0))

@@ -201,15 +201,8 @@ class FastSLAM:
         """
         v = self._look(belief)
         z, R = np.asarray(observations.z, float), np.asarray(observations.R, float)
-        match = kernel.name(
-            z,
-            R,
-            v.z_hat,
-            v.C,
-            v.chance > UNSEEN,
-            geometry.wrapped(self.sensor.angles),
-            float(chdtri(2, 1.0 - self.gate)),
-        )
+        flags, gate2 = geometry.wrapped(self.sensor.angles), float(chdtri(2, 1.0 - self.gate))
+        match = kernel.name(z, R, v.z_hat, v.C, v.chance > UNSEEN, flags, gate2)
         named: Ids = np.where(match >= 0, belief.maps.ids[v.slots][match], -1) if len(v.slots) else match
         return named
 
@@ -281,9 +274,8 @@ class FastSLAM:
         points, spread = _of_each(b.pose, slots, b.maps)
         z_hat, H = _expect(self.sensor, points)
         pages.reserve(b.maps, pages.columns_of(slots))
-        kernel.absorb(
-            b.pose, points, spread, slots, z, R, z_hat, H, geometry.wrapped(self.sensor.angles), *pages.arrays(b.maps)
-        )
+        flags = geometry.wrapped(self.sensor.angles)
+        kernel.absorb(b.pose, points, spread, slots, z, R, z_hat, H, flags, *pages.arrays(b.maps))
         kernel.boxes(pages.distinct(slots), b.maps.table, b.maps.mean, b.maps.has, b.maps.box)
 
     # --- landmarks ----------------------------------------------------------------------------------------------------
