@@ -202,10 +202,25 @@ def test_a_basin_already_entered_is_not_entered_again():
     s = rigid(problem, *base_gains(problem, None))
     args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5))
     apart = np.array([0.3, 0.1])
-    rest = (*fill_grid(s.p, 0.5), NO_LABELS, 27.6, apart, 3)
-    ends, _, _, values = motion.descend(np.array([error]), *args, *rest)
+    rest = (*fill_grid(s.p, 0.5), NO_LABELS, 27.6, apart, 3, 15.0)
+    ends, _, _, values = motion.descend(np.array([error]), np.zeros(1), *args, *rest)
     again = np.array([error, ends[0] + 0.05 * np.array([0.3, 0.0, 0.1]), ends[0] + np.array([2.0, 0.0, 0.0])])
-    _, _, matches, values = motion.descend(again, *args, *rest)
+    votes = np.full(3, values[0])
+    _, _, matches, values = motion.descend(again, votes, *args, *rest)
     assert np.isfinite(values[[0, 2]]).all()
     assert values[1] == -np.inf
     assert (matches[1] == -1).all()
+
+
+def test_a_vote_is_held_against_what_was_found_not_against_a_flattering_vote():
+    problem, truth, error = wide(np.random.default_rng(7), 20)
+    s = rigid(problem, *base_gains(problem, None))
+    args = (s.q, s.R, s.p, s.D, s.base, s.odds, s.prior, np.full(len(s.q), 0.5))
+    rest = (*fill_grid(s.p, 0.5), NO_LABELS, 27.6, np.array([0.3, 0.1]), 3, 15.0)
+    wrong, other = error + np.array([1.3, 0.4, 0.3]), error + np.array([-1.1, 0.9, -0.2])
+    poses = np.array([wrong, error, other])
+    value = motion.descend(poses[:1], np.zeros(1), *args, *rest)[3][0]
+    _, _, matches, values = motion.descend(poses, np.array([value + 60.0, value, value + 1.0]), *args, *rest)
+    assert values[1] > values[0] + 15.0  # its vote was 60 nats behind, and it is entered
+    assert (matches[1] == truth).mean() > 0.8
+    assert values[2] == -np.inf  # its vote is more than 15 nats behind what was found

@@ -64,12 +64,14 @@ def reaches(R: Array, D: Array, gate2: float) -> Array:
 
 @jit
 def descend(
-    poses: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array,
-    reach: Array, cell: float, low: Array, shape: Array, cells: Array, index: Array, allowed: Array, gate2: float,
-    apart: Array, rounds: int,
+    poses: Array, scores: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array,
+    prior_inverse: Array, reach: Array, cell: float, low: Array, shape: Array, cells: Array, index: Array, allowed: Array,
+    gate2: float, apart: Array, rounds: int, behind: float,
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Every pose (k, 3) refined: where it ended (k, 3), M (k, 3, 3), match (k, m) and L (k,), -inf where not entered.
 
+    scores (k,): of the vote. What is `behind` nats behind the best L so far is not entered: behind L, for the vote of a
+    wrong pose flatters (two observations may vote for one landmark), and that of a rough one says too little.
     The ogre: a pose that stands, within a tenth of `apart` (2,) (m, rad), where an earlier one ended belongs to that
     basin, whether it won or lost, and is not entered again.
     """
@@ -77,7 +79,7 @@ def descend(
     ends, Ms, values = poses.copy(), np.zeros((size, 3, 3)), np.full(size, -np.inf)
     matches = np.full((size, q.shape[0]), -1, np.int64)
     for k in range(size):
-        known = False
+        known = scores[k] < values.max() - behind
         for r in range(k):
             gap = math.hypot(poses[k, 0] - ends[r, 0], poses[k, 1] - ends[r, 1])
             turn = abs((poses[k, 2] - ends[r, 2] + math.pi) % (2.0 * math.pi) - math.pi)

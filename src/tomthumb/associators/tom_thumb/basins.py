@@ -56,11 +56,14 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
         s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, *grid, apart,
         budget.basins, budget.poses, 2.0 * BEHIND,
     )  # fmt: skip
-    poses = np.concatenate([poses[np.isfinite(scores) & (scores > scores[0] - BEHIND)], np.zeros((1, 3))])
+    kept = np.isfinite(scores)
+    poses, votes = np.concatenate([poses[kept], np.zeros((1, 3))]), np.append(scores[kept], np.inf)
     reach = motion.reaches(s.R, s.D, gate2)
     seen = (reach, s.p, *grid, NO_LABELS if s.allowed is None else s.allowed)
     args = (s.q, s.R, s.p, s.D, s.base, s.odds)
-    ends, Ms, matches, values = motion.descend(poses, *args, s.prior, reach, *seen[2:], gate2, apart, 3)
+    ends, Ms, matches, values = motion.descend(
+        poses, votes, *args, s.prior, reach, *seen[2:], gate2, apart, 3, BEHIND
+    )  # fmt: skip
     found: list[Basin] = []
     for k in _leaders(matches, values, budget.reach):
         listed = Window(*motion.local_candidates(poses[k], s.q, *seen))

@@ -3,7 +3,8 @@
     0  window      candidates of each observation
     1  quick path  a scan in which nobody has two candidates, and no gain leaves a doubt, is done at once; in a small scan
                    all hypotheses that count are listed and summed
-    2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined
+    2  anchored flights: pairs of observations give poses, the others vote; the best basins are refined. A scan with one
+                   basin is linearised there, and all hypotheses that count are listed and summed
     3  Levy flights inside a basin: ruin r related pairs, force an alternative, complete again
     4  boots: stagnation makes the ruins larger (off by default: they changed nothing, docs/parts.md)
     5  certificate: branch and bound from the incumbent within a budget: "optimal" (award INFINITY), or "truncated"
@@ -25,6 +26,7 @@ from scipy.special import chdtri
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
+from tomthumb.associators.tom_thumb.there import given_there, related, straight
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -122,7 +124,7 @@ class TomThumb:
                 return self._decided(found, info, p, none)
         scene = rigid(problem, own, odds)
         if scene is not None:
-            return self._over_poses(scene, near, found if proven or not hard else [], info, rng)
+            return self._over_poses(problem, scene, near, found if proven or not hard else [], info, rng)
         if not found:
             found, info = self._within(given, near, rng)
         return self._decided(found, info, *mixed_marginals(found, n))
@@ -145,10 +147,14 @@ class TomThumb:
         few = near.start[-1] <= len(problem.z)
         return bool(few and self.quick > 0.0 and problem.evidence is None and self.gates[0] >= self.gates[1])
 
+    @property
+    def _lists(self) -> bool:
+        """Whether sums over all hypotheses are what is wanted."""
+        return self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
+
     def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
         """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
-        wanted = self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
-        if not wanted or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
+        if not self._lists or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
             return False
         given = problem.predictions
         if given.pose_cov is None:
@@ -185,15 +191,22 @@ class TomThumb:
             whole, p, none, _best, value, nodes = posterior.listed(
                 *given, *lists, gate_of_two(self.gates[1]), self.listed, SOON, MANY
             )
-        if not whole:
-            return None
+        return self._summed(p, none, value, {"proof": "optimal", "nodes": int(nodes)}) if whole else None
+
+    def _summed(self, p: Array, none: Array, value: float, info: dict[str, Any]) -> Association:
         match, chance = most_probable(p, none, self.least)
-        return Association(match, value, {"proof": "optimal", "nodes": int(nodes), "objective": value}, chance)
+        return Association(match, value, {**info, "objective": value}, chance)
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
     def _over_poses(
-        self, scene: Rigid, near: Window, known: list[Basin], info: dict[str, Any], rng: Rng
+        self,
+        problem: AssociationProblem,
+        scene: Rigid,
+        near: Window,
+        known: list[Basin],
+        info: dict[str, Any],
+        rng: Rng,
     ) -> Sequence[Association]:
         """The decision with the pose integrated out, over the hypotheses known, or over the pose basins of anchors."""
         gate2, gate3 = (float(chdtri(dof, 1.0 - self.gates[1])) for dof in (2, 3))
@@ -201,10 +214,32 @@ class TomThumb:
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
+        listed = self._listed_there(problem, scene, found[0], info) if len(found) == 1 else None
+        if listed is not None:
+            return [listed]
         p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
         return self._decided(found, info, p, none)
+
+    def _listed_there(
+        self, problem: AssociationProblem, scene: Rigid, basin: Basin, info: dict[str, Any]
+    ) -> Association | None:  # fmt: skip
+        """The decision by the sums over all hypotheses of the only basin, on the full covariance; None where they are too many."""
+        near = basin.window
+        if not self._lists or len(near.columns) > SHORT or basin.pose is None or not straight(scene, basin):
+            return None
+        some, columns = np.unique(near.columns, return_inverse=True)
+        if not related(problem, scene, some):
+            return None
+        given = given_there(problem, scene, basin.pose, some)
+        whole, few, none, _best, value, nodes = posterior.listed(
+            *given, near.start, columns, gate_of_two(self.gates[1]), self.listed, SOON, MANY
+        )
+        p = np.zeros(problem.shape)
+        p[:, some] = few
+        spent = {**info, "basins": 1, "nodes": info.get("nodes", 0) + int(nodes)}  # the proof is that of no other basin
+        return self._summed(p, none, value, spent) if whole else None
 
     def _budget(self) -> Budget:
         return Budget(self.anchors, self.basins, self.poses, self.reach)

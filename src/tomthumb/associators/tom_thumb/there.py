@@ -1,0 +1,79 @@
+"""A scan linearised anew where its only pose basin is: there the full covariance may be summed over, as under a known pose.
+
+The search over poses holds landmarks independent given the pose. What they err in common beyond a rigid motion is little, but
+not beside a precise observation; and under a pose that is uncertain before the scan, not after it, nothing else is lost by
+linearising once the basin is known.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tomthumb.associators.tom_thumb.basins import Basin
+from tomthumb.associators.tom_thumb.scene import Rigid, lever, weighed
+from tomthumb.kernels import posterior
+from tomthumb.kernels import scene as kernel
+from tomthumb.types import Array, AssociationProblem, Ids
+
+LITTLE = 0.01  # of the least variance of the noise: errors in common below that change nothing
+
+
+def given_there(
+    problem: AssociationProblem, s: Rigid, pose: Array, some: Ids
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Innovation (m, k, 2), covariance (2k, 2k), R (m, 2, 2) and base gains (m, k) in the sensor's plane, linear at `pose`, of
+    the predictions `some` (k,).
+
+    q = Rot(theta) (p + e) + t, e what the rigid motion xi = (t, theta) leaves of the predictions' errors, E = C - B Xi B';
+    so q - q(pose) + B pose has the covariance B Xi B' + Rot E Rot' + R, B = [I | J Rot p] at the pose.
+    """
+    c, sine = math.cos(pose[2]), math.sin(pose[2])
+    turn, (p, left) = np.array([[c, -sine], [sine, c]]), _left(problem, s, some)
+    turned = p @ turn.T
+    there = lever(turned)
+    C = _congruent(np.broadcast_to(turn, there[:, :, :2].shape), left) + _flat(there) @ s.Xi @ _flat(there).T
+    expected = turned + pose[:2] - there @ pose
+    evidence = None if s.evidence is None else s.evidence[:, some]
+    return s.q[:, None] - expected[None], C, s.R, weighed(s.base[:, None] + s.odds[None, some], evidence)
+
+
+def related(problem: AssociationProblem, s: Rigid, some: Ids) -> bool:
+    """Whether any of two of the predictions `some` err together beyond the rigid motion, by more than `LITTLE` of the least noise."""
+    if len(some) < 2:
+        return False
+    left = np.abs(_left(problem, s, some)[1])
+    for j in range(len(some)):
+        left[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = 0.0
+    R = s.R
+    half, gap = 0.5 * (R[:, 0, 0] + R[:, 1, 1]), 0.5 * (R[:, 0, 0] - R[:, 1, 1])
+    least = (half - np.hypot(gap, R[:, 0, 1])).min()
+    return bool(left.max() > LITTLE * least)
+
+
+def _left(problem: AssociationProblem, s: Rigid, some: Ids) -> tuple[Array, Array]:
+    """Points p (k, 2) and E = C - B Xi B' (2k, 2k)."""
+    p = s.p[some]
+    B = _flat(lever(p))
+    T = kernel.points_of(problem.predictions.z_hat[some], bool(problem.angles))[1]
+    rows = np.column_stack([2 * some, 2 * some + 1]).ravel()
+    return p, _congruent(T, problem.predictions.cov[np.ix_(rows, rows)]) - B @ s.Xi @ B.T
+
+
+def straight(s: Rigid, basin: Basin) -> bool:
+    """Whether the pose of a basin is known so well that linearising there leaves out less than the noise (`posterior.bend`)."""
+    assert basin.M is not None
+    turn = float(np.linalg.inv(basin.M)[2, 2])
+    return max(posterior.bend(q[0], q[1], R, turn) for q, R in zip(s.q, s.R, strict=True)) < 1.0
+
+
+def _flat(B: Array) -> Array:
+    return np.ascontiguousarray(B.reshape(-1, 3))
+
+
+def _congruent(T: Array, C: Array) -> Array:
+    """blockdiag(T) C blockdiag(T)', T (n, 2, 2)."""
+    half = (T @ C.reshape(len(T), 2, -1)).reshape(C.shape)  # the rows; the columns are those of the transpose
+    out: Array = (T @ half.T.reshape(len(T), 2, -1)).reshape(C.shape).T
+    return out
