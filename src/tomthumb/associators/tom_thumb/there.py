@@ -40,7 +40,7 @@ def given_there(
 
 
 def related(problem: AssociationProblem, s: Rigid, some: Ids) -> bool:
-    """Whether any of two of the predictions `some` err together beyond the rigid motion, by more than `LITTLE` of the least noise."""
+    """Whether two of the predictions `some` err together beyond the rigid motion, by more than `LITTLE` of the least noise."""
     if len(some) < 2:
         return False
     left = np.abs(_left(problem, s, some)[1])
