@@ -121,7 +121,7 @@ def test_unambiguous_scans_are_settled_at_once_and_right():
     """The quick path proves nothing, but what it takes is the maximum; without it the certificate proves that."""
     rng, quick = np.random.default_rng(4), 0
     for _ in range(20):
-        problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
+        problem = random_problem(rng, 4, 4, spread=20.0, pose=0.02)
         found = TomThumb().associate(problem, rng)[0]
         slow = TomThumb(quick=0.0).associate(problem, rng)[0]
         own, odds = base_gains(problem, None)
@@ -155,7 +155,7 @@ def test_the_quick_path_decides_as_the_whole_search_does():
 def test_the_quick_path_leaves_doubtful_scans_to_the_search():
     """A candidate too many, one that two want, or a pairing that gains too little."""
     rng = np.random.default_rng(13)
-    problem = random_problem(rng, 4, 4, spread=20.0, pose=0.05)
+    problem = random_problem(rng, 4, 4, spread=20.0, pose=0.02)
     assert TomThumb(quick=0.1).associate(problem, rng)[0].info["proof"] == "unambiguous"
     assert TomThumb(quick=1e3).associate(problem, rng)[0].info["proof"] == "optimal"
     shared = random_problem(rng, 6, 1, spread=0.3)

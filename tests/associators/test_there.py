@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import least_squares
 
 from associators.test_stt import wide
-from tomthumb.associators.tom_thumb.scene import Rigid, base_gains, lever, rigid
+from tomthumb.associators.maximum import MaximumPosterior
+from tomthumb.associators.tom_thumb import TomThumb
+from tomthumb.associators.tom_thumb.scene import Rigid, base_gains, curved_window, lever, rigid
 from tomthumb.associators.tom_thumb.there import given_there
 from tomthumb.kernels import posterior
+from tomthumb.kernels import scene as kernel
 from tomthumb.types import AssociationProblem, Predictions
 
 
@@ -79,3 +84,50 @@ def test_what_points_err_together_does_not_count_once_for_each():
     )
     assert abs(together - wanted) < 0.02 * wanted
     assert abs(posterior.value_of(match, *given_there(alone, s, pose, match))[1] - wanted) > 0.05 * wanted
+
+
+def turned_scan(rng, m, degrees):
+    """m landmarks of a known cloud, seen as points after a turn of `degrees`, under a heading known to 15 deg."""
+    points = rng.uniform([2.0, -3.0], [8.0, 3.0], (14, 2))
+    Xi = np.diag([0.1, 0.1, np.radians(15.0)]) ** 2
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    truth = rng.permutation(len(points))[:m]
+    z = points[truth] @ np.array([[c, -s], [s, c]]).T + 0.02 * rng.standard_normal((m, 2))
+    G = lever(points).reshape(-1, 3)
+    cov = G @ Xi @ G.T + 1e-4 * np.eye(2 * len(points))
+    predictions = Predictions(np.arange(len(points)), points, cov, Xi, -G @ Xi)
+    R = np.tile(0.02**2 * np.eye(2), (m, 1, 1))
+    return AssociationProblem(z, R, z[:, None] - points[None], predictions, np.full(m, 1e-3), np.arange(m)), truth
+
+
+def test_a_large_turn_is_found_where_the_linear_posterior_is_sure_of_something_else():
+    """Two sigma of the heading, 30 deg: what the certificate proves there is the optimum of the wrong sum."""
+    right = linear = 0
+    for seed in range(10):
+        problem, truth = turned_scan(np.random.default_rng(seed), 6, 30.0)
+        right += int((TomThumb().associate(problem, np.random.default_rng(0))[0].match == truth).sum())
+        linear += int((MaximumPosterior().associate(problem, np.random.default_rng(0))[0].match == truth).sum())
+    assert right >= 57
+    assert linear < 45
+
+
+def test_the_curved_window_holds_the_second_moment_of_a_turn():
+    """Along the line of sight a turned point lies off by 3/4 (r v)^2 in the mean square, across it by r^2 v."""
+    p, Xi = np.array([[4.0, 0.0]]), np.diag([1e-12, 1e-12, 0.2**2])
+    angle = 0.2 * np.random.default_rng(0).standard_normal(200_000)
+    off = 4.0 * np.column_stack([np.cos(angle) - 1.0, np.sin(angle)])
+    nothing = np.full((1, 2, 2), 0.0)
+    for axis in range(2):
+        q = p + np.eye(2)[axis] * 0.1
+        d2 = kernel.curved(q, nothing, p, nothing, Xi)[0, 0]
+        assert abs(0.01 / d2 / (off[:, axis] ** 2).mean() - 1.0) < 0.06
+
+
+def test_in_the_curved_window_labels_still_rule_out():
+    problem, _ = turned_scan(np.random.default_rng(0), 6, 30.0)
+    labels, theirs = np.zeros(6, np.int64), np.arange(14) % 2
+    told = replace(problem, labels=labels, predictions=replace(problem.predictions, labels=theirs))
+    s = rigid(told, *base_gains(told, None))
+    near = curved_window(told, s, 1.0 - 1e-6)
+    assert set(theirs[near.columns]) == {0}
+    assert len(near.columns) < len(curved_window(problem, s, 1.0 - 1e-6).columns)

@@ -18,6 +18,7 @@ from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
 SAMPLE = 16  # predictions on which the common motion is fitted and checked
 REMAINDER = 0.1  # covariance between landmarks left over by the motion, relative to their own and the noise
+LOOSE = 10.0  # the same where a linearised covariance would be wrong by more than that, and what is found is looked at again
 NOTHING, UNKNOWN = np.empty((0, 0)), np.empty(0)
 
 
@@ -95,6 +96,13 @@ def window(d2: Array, gate: float) -> Window:
     return Window(*kernel.candidates(d2, gate_of_two(gate)))
 
 
+def curved_window(problem: AssociationProblem, s: Rigid, gate: float) -> Window:
+    """Every landmark within `gate` of each observation, nearest first, where the turn of the motion bends its way."""
+    d2 = kernel.curved(s.q, s.R, s.p, s.D, s.Xi)
+    d2[~np.isfinite(problem.weighed_d2)] = np.inf  # what labels and looks rule out
+    return window(d2, gate)
+
+
 def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:
     """Points (k, 2) of observations and the Jacobian (k, 2, 2) by z; None when z is not a point in a plane we know."""
     if angles not in ((), (1,)):
@@ -103,7 +111,7 @@ def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:
     return points
 
 
-def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None:
+def rigid(problem: AssociationProblem, base: Array, odds: Array, remainder: float = REMAINDER) -> Rigid | None:
     """The problem as one rigid motion and independent landmarks, or None where that is not what the covariance says."""
     given = problem.predictions
     if problem.angles not in ((), (1,)) or len(given) < 3:
@@ -112,7 +120,7 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array) -> Rigid | None
     cross = NOTHING if given.cross is None else np.ascontiguousarray(given.cross)
     good, q, R, p, D, Xi, prior, area = kernel.decomposed(
         problem.z, problem.R, given.z_hat, np.ascontiguousarray(given.cov), pose_cov, cross, bool(problem.angles),
-        SAMPLE, REMAINDER,
+        SAMPLE, remainder,
     )  # fmt: skip
     if not good:
         return None

@@ -25,7 +25,18 @@ from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
 from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import Rigid, Window, base_gains, gate_of_two, rigid, weighed, window
+from tomthumb.associators.tom_thumb.scene import (
+    LOOSE,
+    REMAINDER,
+    Rigid,
+    Window,
+    base_gains,
+    curved_window,
+    gate_of_two,
+    rigid,
+    weighed,
+    window,
+)
 from tomthumb.associators.tom_thumb.there import given_there, related, straight
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
@@ -101,6 +112,10 @@ class TomThumb:
         own, odds = base_gains(problem, prior)
         near = window(problem.weighed_d2, self.gates[1])
         cov = np.ascontiguousarray(problem.predictions.cov)
+        if self.decide == "marginal" and m > 2 and self._is_bent(problem):
+            turned = self._over_bent_poses(problem, own, odds, rng)
+            if turned is not None:
+                return turned
         if self._may_be_quick(problem, near):
             clear, match, chance, value = unambiguous(
                 problem.innovation, cov, problem.R, own, odds, near.start, near.columns, self.quick
@@ -156,11 +171,15 @@ class TomThumb:
         """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
         if not self._lists or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
             return False
+        return problem.predictions.pose_cov is not None and not self._is_bent(problem)
+
+    def _is_bent(self, problem: AssociationProblem) -> bool:
+        """Whether linearising the pose leaves out more than the noise."""
         given = problem.predictions
         if given.pose_cov is None:
             return False
         shape = problem.z, problem.R, given.z_hat, given.cov
-        return bool(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)) < 1.0)
+        return bool(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)) >= 1.0)
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
@@ -196,6 +215,17 @@ class TomThumb:
     def _summed(self, p: Array, none: Array, value: float, info: dict[str, Any]) -> Association:
         match, chance = most_probable(p, none, self.least)
         return Association(match, value, {**info, "objective": value}, chance)
+
+    def _over_bent_poses(
+        self, problem: AssociationProblem, own: Array, odds: Array, rng: Rng
+    ) -> Sequence[Association] | None:  # fmt: skip
+        """The decision where no linearised covariance can be trusted: over poses, whatever landmarks err in common."""
+        for remainder in (REMAINDER, LOOSE):
+            scene = rigid(problem, own, odds, remainder)
+            if scene is not None:
+                near = curved_window(problem, scene, self.gates[1])
+                return self._over_poses(problem, scene, near, [], NOTHING_YET, rng)
+        return None
 
     # --- 2: over the poses ----------------------------------------------------------------------------------------
 
