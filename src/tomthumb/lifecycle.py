@@ -265,13 +265,40 @@ def risen(life: Life, there: Sequence[Grave], by_chance: float, policy: LifeCycl
 
 
 def inherit(ledger: Ledger, keep: int, drop: int) -> None:
-    """Two landmarks become one: the survivor has the life of both."""
+    """Two landmarks become one: the survivor has the life of both, seen whenever either was.
+
+    Neighbours of the one are the other's as well. `drift` is that of the survivor, for what is united stands still.
+    """
     lost, life = ledger.pop(drop), ledger[keep]
+    life.visits = tuple(sorted({*life.visits, *lost.visits, min(life.seen, lost.seen)}))
+    life.silence = _since_seen(life, lost)
+    if lost.seen >= life.seen:
+        life.seen, life.place = lost.seen, lost.place or life.place
+    life.born = min(life.born, lost.born)
     life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
     life.companions |= lost.companions
     life.returned = max((r for r in (life.returned, lost.returned) if r is not None), default=None)
     life.looks = life.looks.and_also(lost.looks)
-    life.seen = max(life.seen, lost.seen)
+    beside = (life.apart.keys() | lost.apart.keys()) - {keep, drop}
+    life.apart = {j: life.apart.get(j, 0.0) + lost.apart.get(j, 0.0) for j in beside}
+    for j in (ledger.keys() & (lost.companions | lost.apart.keys())) - {keep}:
+        _renamed_beside(ledger[j], keep, drop)
+
+
+def _since_seen(life: Life, lost: Life) -> float:
+    """Sightings of what both are that were expected in vain since the last one of either."""
+    if life.seen == lost.seen:
+        return min(life.silence, lost.silence)
+    return life.silence if life.seen > lost.seen else lost.silence
+
+
+def _renamed_beside(neighbour: Life, keep: int, drop: int) -> None:
+    """What a neighbour knew of the one that is dropped it knows of the one that is kept."""
+    if drop in neighbour.companions:
+        neighbour.companions = (neighbour.companions - {drop}) | {keep}
+    if drop in neighbour.apart:
+        rest = {j: due for j, due in neighbour.apart.items() if j != drop}
+        neighbour.apart = {**rest, keep: rest.get(keep, 0.0) + neighbour.apart[drop]}
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:
