@@ -70,5 +70,4 @@ def _count(lives: Ledger, before: list[Ids], after: list[Ids], scans: list[int])
 def _scans(scout: Scout, now: int) -> list[int]:
     """The number of each entry's scan, or of the last one before it, newest first."""
     taken = np.array([entry.scan is not None for entry in scout.diary.entries], np.int64)[::-1]
-    numbers: Ids = now - np.cumsum(taken) + taken
-    return numbers.tolist()
+    return [int(n) for n in now - np.cumsum(taken) + taken]
