@@ -19,6 +19,7 @@ from tomthumb.stillness import Drift
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 SURE = 0.999  # no landmark exists more surely
+ABSENT = 3.0  # sightings expected in vain, one after the other, of which chance makes as many once in twenty (Poisson)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +34,9 @@ class LifeCycle:
     `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
     places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
-    present: associators hold that a stone exists until `trial` sightings were expected in vain. Its share of sightings, else
-    taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next ones too.
+    present: associators hold that a stone exists until three sightings were expected in vain (`ABSENT`). Its share of
+    sightings, else taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next
+    ones too.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
     """
@@ -126,7 +128,7 @@ def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) 
     lives = [ledger[i] for i in predictions.ids.tolist()]
     exist = np.array([life.exist for life in lives], float)
     if policy.present and predictions.stone is not None:
-        absent = np.array([life.silence >= policy.trial for life in lives], bool)
+        absent = np.array([life.silence >= ABSENT for life in lives], bool)
         exist[predictions.stone & ~absent] = SURE
     return replace(predictions, exist=exist)
 
