@@ -43,7 +43,7 @@ def test_existence_rises_with_hits_and_falls_with_opportunities():
 
 
 def test_with_present_a_stone_is_there_until_it_is_absent_and_a_crumb_as_often_as_it_is_seen():
-    ledger = {0: Life(0, hits=10, chances=20, silence=3.0), 1: Life(0, hits=10, chances=20, silence=9.0)}
+    ledger = {0: Life(0, hits=10, chances=20, silence=2.9), 1: Life(0, hits=10, chances=20, silence=3.0)}
     share, two = ledger[0].exist, [[0, 0], [5, 0]]
     told = [lifecycle.with_existence(expected(two), ledger, LifeCycle(present=p)).exist for p in (False, True)]
     assert [t.tolist() for t in told] == [[share, share], [lifecycle.SURE, share]]
@@ -92,6 +92,55 @@ def test_a_landmark_buried_in_the_same_step_is_no_duplicate():
 def test_a_gate_as_wide_as_the_world_merges_nobody():
     wide = expected([[0, 0], [0.5, 0], [1, 1]], cov=np.eye(6))
     assert lifecycle.duplicates({i: Life(0) for i in range(3)}, wide, {0}, POLICY) == []
+
+
+def at(x):
+    return np.array([x, 0.0]), np.eye(2)
+
+
+def test_what_two_were_one_is_after_they_are_united():
+    old = Life(
+        50, hits=15, chances=20, static=14, born=0, silence=2.0, place=at(0.0), visits=(9,), apart={2: 1.5, 3: 0.5}
+    )
+    young = Life(
+        90, hits=6, chances=7, static=5, born=80, silence=4.0, returned=3, place=at(1.0), apart={1: 1.5, 3: 0.25}
+    )
+    third = Life(90, companions={2, 3}, apart={1: 0.5, 2: 0.25})
+    for keep, drop in ((1, 2), (2, 1)):
+        ledger = lifecycle.copy_ledger({1: old, 2: young, 3: third})
+        lifecycle.inherit(ledger, keep, drop)
+        one, beside = ledger[keep], ledger[3]
+        assert sorted(ledger) == sorted([keep, 3])
+        assert (one.hits, one.static, one.returned) == (21, 19, 3)
+        assert (one.born, one.seen, one.silence) == (0, 90, 4.0)  # missed four times since the last sighting of either
+        assert one.place[0][0] == 1.0
+        assert one.visits == (9, 50)
+        assert one.apart == {3: 0.75}
+        assert beside.apart == {keep: 0.75}
+        assert keep in beside.companions
+        assert drop not in beside.companions
+        assert (third.companions, third.apart) == ({2, 3}, {1: 0.5, 2: 0.25})  # that of another branch
+
+
+def test_of_two_that_were_seen_together_last_the_silence_is_the_shorter_one():
+    ledger = {1: Life(7, silence=3.0), 2: Life(7, silence=0.5)}
+    lifecycle.inherit(ledger, 1, 2)
+    assert ledger[1].silence == 0.5
+
+
+def test_united_when_either_is_seen_is_seen_as_one_landmark_would_be():
+    """Sightings taken in turns by two, then united, leave what one has that took them all (misses beside each other apart)."""
+    both, one = {1: Life(0), 2: Life(1, born=1)}, {1: Life(0)}
+    lifecycle.record_hits(one, [1], [0.5], 1, POLICY)
+    for scan in range(2, 12):
+        lifecycle.record_hits(both, [1 + scan % 2], [0.5], scan, POLICY)
+        lifecycle.record_hits(one, [1], [0.5], scan, POLICY)
+        lifecycle.record_misses(both, np.array([2 - scan % 2]), np.array([0.8]))
+    lifecycle.record_misses(both, np.array([1, 2]), np.array([0.8, 0.8]))
+    lifecycle.record_misses(one, np.array([1]), np.array([0.8]))
+    lifecycle.inherit(both, 1, 2)
+    for what in ("seen", "hits", "static", "silence", "born", "returned"):
+        assert getattr(both[1], what) == getattr(one[1], what)
 
 
 def test_detection_is_learned_by_range_and_direction():

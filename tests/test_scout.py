@@ -14,7 +14,7 @@ from tomthumb.branches import Branch, followed
 from tomthumb.errors import Diverged
 from tomthumb.lifecycle import Life
 from tomthumb.metrics.evaluation import evaluate
-from tomthumb.renaming import _once
+from tomthumb.renaming import _count, _once
 from tomthumb.retrace import retraced
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
@@ -229,3 +229,22 @@ def test_a_refused_loop_leaves_all_as_it_was_and_is_not_tried_at_every_look(monk
     assert len(tried) >= 2
     assert len(tried) <= 4 * 4  # windows, looks
     np.testing.assert_array_equal(*poses)
+
+
+def test_sightings_that_are_renamed_end_the_silence_of_who_was_expected_from_the_wrong_pose():
+    lives = {1: Life(3, hits=9.0, chances=30.0, static=9, silence=9.0), 2: Life(12, hits=4.0, static=4, silence=1.0)}
+    before = [
+        np.array([2, 7]),
+        np.array([], int),
+        np.array([2]),
+    ]  # newest first: scans 12, 11 and 11 (a step without one)
+    after = [np.array([2, 1]), np.array([], int), np.array([1])]
+    _count(lives, before, after, [12, 11, 11])
+    assert (lives[1].seen, lives[1].silence, lives[1].hits, lives[1].chances, lives[1].static) == (
+        12,
+        0.0,
+        11.0,
+        32.0,
+        11,
+    )
+    assert (lives[2].seen, lives[2].silence, lives[2].hits, lives[2].static) == (12, 1.0, 3.0, 3)

@@ -19,6 +19,7 @@ from tomthumb.stillness import Drift
 from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 SURE = 0.999  # no landmark exists more surely
+ABSENT = 3.0  # sightings expected in vain, one after the other, of which chance makes as many once in twenty (Poisson)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +34,9 @@ class LifeCycle:
     `proof` times since it came back to where it was given up, or after `trial` sightings expected in vain. chance: where no more
     places of so many visits are to be expected by chance, in the whole map, all sightings there count (else see `risen`).
     in_view: chance of being in the field of view that makes a good opportunity. merge: unite duplicates.
-    present: associators hold that a stone exists until `trial` sightings were expected in vain. Its share of sightings, else
-    taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next ones too.
+    present: associators hold that a stone exists until three sightings were expected in vain (`ABSENT`). Its share of
+    sightings, else taken for that, falls as well where a neighbour is given its sightings, and gives the neighbour the next
+    ones too.
     reference: the reference program's rules (compatible with any landmark: left out; no death, no merging).
     signature, signature_gate, stray, confusion: how looks count as evidence, see `appearance.Weight`.
     """
@@ -126,7 +128,7 @@ def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) 
     lives = [ledger[i] for i in predictions.ids.tolist()]
     exist = np.array([life.exist for life in lives], float)
     if policy.present and predictions.stone is not None:
-        absent = np.array([life.silence >= policy.trial for life in lives], bool)
+        absent = np.array([life.silence >= ABSENT for life in lives], bool)
         exist[predictions.stone & ~absent] = SURE
     return replace(predictions, exist=exist)
 
@@ -265,13 +267,40 @@ def risen(life: Life, there: Sequence[Grave], by_chance: float, policy: LifeCycl
 
 
 def inherit(ledger: Ledger, keep: int, drop: int) -> None:
-    """Two landmarks become one: the survivor has the life of both."""
+    """Two landmarks become one: the survivor has the life of both, seen whenever either was.
+
+    Neighbours of the one are the other's as well. `drift` is that of the survivor, for what is united stands still.
+    """
     lost, life = ledger.pop(drop), ledger[keep]
+    life.visits = tuple(sorted({*life.visits, *lost.visits, min(life.seen, lost.seen)}))
+    life.silence = _since_seen(life, lost)
+    if lost.seen >= life.seen:
+        life.seen, life.place = lost.seen, lost.place or life.place
+    life.born = min(life.born, lost.born)
     life.hits, life.chances, life.static = life.hits + lost.hits, life.chances + lost.hits, life.static + lost.static
     life.companions |= lost.companions
     life.returned = max((r for r in (life.returned, lost.returned) if r is not None), default=None)
     life.looks = life.looks.and_also(lost.looks)
-    life.seen = max(life.seen, lost.seen)
+    beside = (life.apart.keys() | lost.apart.keys()) - {keep, drop}
+    life.apart = {j: life.apart.get(j, 0.0) + lost.apart.get(j, 0.0) for j in beside}
+    for j in (ledger.keys() & (lost.companions | lost.apart.keys())) - {keep}:
+        _renamed_beside(ledger[j], keep, drop)
+
+
+def _since_seen(life: Life, lost: Life) -> float:
+    """Sightings of what both are that were expected in vain since the last one of either."""
+    if life.seen == lost.seen:
+        return min(life.silence, lost.silence)
+    return life.silence if life.seen > lost.seen else lost.silence
+
+
+def _renamed_beside(neighbour: Life, keep: int, drop: int) -> None:
+    """What a neighbour knew of the one that is dropped it knows of the one that is kept."""
+    if drop in neighbour.companions:
+        neighbour.companions = (neighbour.companions - {drop}) | {keep}
+    if drop in neighbour.apart:
+        rest = {j: due for j, due in neighbour.apart.items() if j != drop}
+        neighbour.apart = {**rest, keep: rest.get(keep, 0.0) + neighbour.apart[drop]}
 
 
 def may_be_born(d2: Array, taken: Mask, policy: LifeCycle) -> Mask:

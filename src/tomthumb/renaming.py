@@ -37,7 +37,7 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
     for drop in found.same:
         if drop in lives and into[drop] in lives:
             inherit(lives, into[drop], drop)
-    _count(lives, [renamed(ids, into) for ids in ours], names, slam.scan)
+    _count(lives, [renamed(ids, into) for ids in ours], names, _scans(scout, slam.scan))
     fresh = copy_ledger({i: scout.branch.ledger[i] for i in mine - scout.branch.crumbs - set(found.named)})
     return retraced(slam, scout.diary, names[::-1], fresh | lives, scout.rules.tear, claimed[::-1])
 
@@ -51,16 +51,23 @@ def _once(ids: Ids, first: Mask) -> Ids:
     return out
 
 
-def _count(lives: Ledger, before: list[Ids], after: list[Ids], scan: int) -> None:
-    """Sightings that have another name now count for that one."""
-    for old, new in zip(before, after, strict=True):
+def _count(lives: Ledger, before: list[Ids], after: list[Ids], scans: list[int]) -> None:
+    """Sightings that have another name now count for that one. Entries are newest first, each with its scan.
+
+    What was expected in vain was expected from the wrong pose: it is forgotten of those that were seen since.
+    """
+    for old, new, scan in zip(before, after, scans, strict=True):
         other = old != new
         for i in set(new[other].tolist()) & lives.keys():
-            lives[i].hits, lives[i].chances, lives[i].static = (
-                lives[i].hits + 1,
-                lives[i].chances + 1,
-                lives[i].static + 1,
-            )
-            lives[i].seen = scan
+            life = lives[i]
+            life.hits, life.chances, life.static = life.hits + 1.0, life.chances + 1.0, life.static + 1
+            if scan >= life.seen:
+                life.seen, life.silence = scan, 0.0
         for i in set(old[other].tolist()) & lives.keys():
             lives[i].hits, lives[i].static = max(lives[i].hits - 1.0, 1.0), max(lives[i].static - 1, 1)
+
+
+def _scans(scout: Scout, now: int) -> list[int]:
+    """The number of each entry's scan, or of the last one before it, newest first."""
+    taken = np.array([entry.scan is not None for entry in scout.diary.entries], np.int64)[::-1]
+    return [int(n) for n in now - np.cumsum(taken) + taken]

@@ -42,9 +42,10 @@ class Scouting:
     """window: scans that the scout remembers; he looks at what he saw in them, in the newer half, quarter, ...: `sizes` in
     all. every: scans between two looks, no more than he looks back at least. drift: m per m of path, rad per m: what
     odometry may have gathered. sure: nats that a place must explain: a thousand places within the drift, a thousand looks,
-    a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least. poses: of the trail, from
-    which old landmarks would have been seen. tear: what was found is not believed if the filter, gone over the trail with
-    it, is surprised in any ten scans by so many standard deviations of NIS.
+    a risk of one in a hundred. lead: nats before any other place. votes: landmarks at least; `sure` decides what they are
+    worth, but none is worth more than five nats, and one more than twenty nats need is over what fixes a place. poses: of
+    the trail, from which old landmarks would have been seen. tear: what was found is not believed if the filter, gone over
+    the trail with it, is surprised in any ten scans by so many standard deviations of NIS.
     """
 
     window: int = 200
@@ -53,7 +54,7 @@ class Scouting:
     drift: tuple[float, float] = (0.05, 0.005)
     sure: float = 20.0
     lead: float = 10.0
-    votes: int = 8
+    votes: int = 5
     poses: int = 12
     tear: float = 40.0
 
