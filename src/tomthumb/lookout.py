@@ -157,9 +157,14 @@ def _loop(slam: Slam, since: Note) -> Slam:
 
 
 def ask(walker: Walker, slam: Slam, king: King, whole: Estimate, doubted: bool) -> Found | None:
-    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes."""
+    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes.
+
+    He set out up to `every` scans after the robot was carried away. What the family has founded since then stands
+    where it would have it, be it right or wrong, and says nothing of which it is: that is not asked.
+    """
     home = slam.branches[0]
-    old = np.array([home.ledger[i].born < walker.since.scan for i in whole.ids.tolist()], bool)
+    before = walker.since.scan - slam.court.lookout.rules.every + 1
+    old = np.array([home.ledger[i].born < before for i in whole.ids.tolist()], bool)
     away = left_behind(home, whole.only(old))
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
