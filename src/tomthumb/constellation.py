@@ -82,6 +82,20 @@ def fitted(q: Array, covs: Array, points: Array, motion: Array) -> Fit:
     return _about(_refined(start, q - centre, spread, _gains(spread, points), points, grid), centre)
 
 
+def most(covs: Array, points: Array) -> Array:
+    """The most that each local point (k,) can add to the gain of a fit, nats."""
+    return _gains(_spread(covs), points)
+
+
+def shares(fit: Fit, q: Array, covs: Array, points: Array) -> Array:
+    """What each local point (k,) adds to the gain of a fit, nats; 0 where it has no partner."""
+    spread, rows = _spread(covs), np.flatnonzero(fit.match >= 0)
+    gaps = points[fit.match[rows]] - to_world(fit.motion, q[rows])
+    out = np.zeros(len(q))
+    out[rows] = _gains(spread, points)[rows] - 0.5 * (gaps**2).sum(1) / spread[rows] ** 2
+    return out
+
+
 def perfect(q: Array, covs: Array, points: Array) -> Fit:
     """As good a fit as there can be: every local point has a partner just where it should be."""
     spread, centre = _spread(covs), q.mean(0)

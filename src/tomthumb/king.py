@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit, fits, fitted, perfect
+from tomthumb.constellation import Fit, fits, fitted, perfect, shares
+from tomthumb.constellation import most as most_shares
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
@@ -27,6 +28,7 @@ from tomthumb.places import (
     as_believed,
     bare,
     clear,
+    copied,
     most_elsewhere,
     stones,
     view,
@@ -103,18 +105,22 @@ def way_home(
     if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
     old = stones(away.old.landmarks, away.exist)
-    most = most_elsewhere(perfect(q, covs, old.points), old, guess)
+    best = perfect(q, covs, old.points)
+    most = most_elsewhere(best, old, guess)
     if guess.firm and most < king.lead + guess.odds[1]:
         return None
     believed = compose(guess.pose, inverse(pose))
-    if guess.firm and not guess.doubted and float(old.cover(to_world(believed, q[here.lately])).mean()) < KNOWN:
-        return None
+    new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
-    if guess.firm and _may_stay(king, fitted(q, covs, old.points, believed), local, old, guess, most):
+    stay = _staying(fitted(q, covs, old.points, believed), local, old, guess)
+    alike = copied(best, most_shares(covs, old.points), new, old, stay)
+    if guess.firm and max(stay, alike) > most - king.lead:
         return None
     found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
-    rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
-    chosen = clear(weighed(found, local, old, guess), rest, king.lead)
+    rest = [bare(local, old, guess), guess.odds[1]]
+    if guess.firm:
+        rest += [copied(fit, shares(fit, q, covs, old.points), new, old, stay) for fit in found]
+    chosen = clear(weighed(found, local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
     if chosen is None or not _is_here(found[chosen], here.lately) or _rivalled(king, found, chosen):
         return None
     fit = found[chosen]
@@ -122,10 +128,10 @@ def way_home(
     return Return(fit, here.part.ids, named, as_believed(fit, local, old, guess))
 
 
-def _may_stay(king: King, fit: Fit, local: Local, old: Stones, guess: Guess, most: float) -> bool:
-    """Whether what is believed, or `fit` beside it, holds its own against whatever may be elsewhere."""
+def _staying(fit: Fit, local: Local, old: Stones, guess: Guess) -> float:
+    """Log weight of being where the robot is believed to be, or at `fit` beside it."""
     best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
-    return bool(max([bare(local, old, guess), *best]) > most - king.lead)
+    return float(max([bare(local, old, guess), *best]))
 
 
 def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:

@@ -179,6 +179,17 @@ def most_elsewhere(best: Fit, old: Stones, guess: Guess) -> float:
     return float(best.gain + (1.0 - NEW) * len(best.match) + guess.odds[1] + _occam_anywhere(best, old))
 
 
+def copied(fit: Fit, share: Array, new: Mask, old: Stones, here: float) -> float:
+    """Log weight of being where the robot believes to be, `here`, where the new land merely looks like that of `fit`.
+
+    `share` (k,): what each local landmark adds to the fit's gain; `new` (k,): those that would lie where nothing is known.
+    The sides of a cloister do look alike, so a robot that walks into new land is sent elsewhere only by what it sees, or
+    misses, in land that it knows.
+    """
+    pairs = new & (fit.match >= 0)
+    return here + float(share[pairs].sum() + (1.0 - NEW) * np.count_nonzero(pairs)) + _occam_anywhere(fit, old)
+
+
 def as_believed(fit: Fit, local: Local, old: Stones, guess: Guess) -> bool:
     """Whether the place is rather the one where the robot is believed to be than one that happens to lie near it."""
     right, wrong = _priors(fit, local, old, guess)
