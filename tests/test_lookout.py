@@ -62,4 +62,4 @@ def test_a_brother_who_agrees_has_nothing_to_say():
         slam.step(step.t, step.control, step.observations)
     walkers = slam.court.lookout.walkers
     assert len(walkers) > 4
-    assert all(ask(walker, slam, King(), slam.estimate(), False) is None for walker in walkers)
+    assert all(ask(walker, slam, King(), slam.estimate()) is None for walker in walkers)

@@ -82,7 +82,7 @@ def fitted(q: Array, covs: Array, points: Array, motion: Array) -> Fit:
     return _about(_refined(start, q - centre, spread, _gains(spread, points), points, grid), centre)
 
 
-def most(covs: Array, points: Array) -> Array:
+def shares_at_most(covs: Array, points: Array) -> Array:
     """The most that each local point (k,) can add to the gain of a fit, nats."""
     return _gains(_spread(covs), points)
 

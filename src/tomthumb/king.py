@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit, fits, fitted, perfect, shares
-from tomthumb.constellation import most as most_shares
+from tomthumb.constellation import Fit, fits, fitted, perfect, shares, shares_at_most
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
@@ -38,7 +37,6 @@ from tomthumb.protocols import Sensor
 from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Estimate, Ids, Mask
 
-KNOWN = 0.5  # of what is seen must lie where there are stones, to speak against where the robot believes to be
 LATELY = 5  # scans: what was seen in them is here
 LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no proof of it
 
@@ -88,6 +86,30 @@ class Return:
     expected: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Small:
+    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
+
+    part: Estimate
+    lately: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Where does the map `here` lie on the stones `old`? `believed` (3,) is the motion by which the robot is where it is
+    believed to be, `stay` the log weight of that; `new` (k,) are landmarks that would then lie where nothing is known.
+    """
+
+    away: Exile
+    here: Small
+    guess: Guess
+    old: Stones
+    local: Local
+    believed: Array
+    new: Mask
+    stay: float
+
+
 def left_behind(branch: Branch, old: Estimate) -> Exile:
     """What a family leaves behind when it flees."""
     rocks = old.only(old.stone)
@@ -101,6 +123,14 @@ def way_home(
     """Where the small map `here` lies in the old one, if that can be verified; None otherwise. `guess`: where the robot
     is believed to be in the old map.
     """
+    asked = question(king, away, here, guess, sensor, detection)
+    return None if asked is None else answered(king, asked)
+
+
+def question(
+    king: King, away: Exile, here: Small, guess: Guess, sensor: Sensor, detection: DetectionMap
+) -> Question | None:
+    """What there is to be searched for; None where no place, be it ever so good, could outweigh what is believed."""
     q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
     if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
@@ -113,19 +143,25 @@ def way_home(
     new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
     stay = _staying(fitted(q, covs, old.points, believed), local, old, guess)
-    alike = copied(best, most_shares(covs, old.points), new, old, stay)
+    alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
     if guess.firm and max(stay, alike) > most - king.lead:
         return None
-    found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
-    rest = [bare(local, old, guess), guess.odds[1]]
+    return Question(away, here, guess, old, local, believed, new, stay)
+
+
+def answered(king: King, asked: Question) -> Return | None:
+    """The place that outweighs all others, and that the robot is where it is believed to be, or nowhere on the map."""
+    q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
+    found = [fit for fit in fits(q, covs, old.points, asked.believed) if fit.votes >= LEAST]
+    rest = [bare(asked.local, old, guess), guess.odds[1]]
     if guess.firm:
-        rest += [copied(fit, shares(fit, q, covs, old.points), new, old, stay) for fit in found]
-    chosen = clear(weighed(found, local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
-    if chosen is None or not _is_here(found[chosen], here.lately) or _rivalled(king, found, chosen):
+        rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
+    chosen = clear(weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
+    if chosen is None or not _is_here(found[chosen], asked.here.lately) or _rivalled(king, found, chosen):
         return None
     fit = found[chosen]
-    named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
-    return Return(fit, here.part.ids, named, as_believed(fit, local, old, guess))
+    named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
+    return Return(fit, asked.here.part.ids, named, as_believed(fit, asked.local, old, guess))
 
 
 def _staying(fit: Fit, local: Local, old: Stones, guess: Guess) -> float:
@@ -144,14 +180,6 @@ def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:
 def _is_here(fit: Fit, lately: Mask) -> bool:
     """Whether half of what was seen lately is part of the fit: not only of where the robot was before it was carried."""
     return bool(2 * np.count_nonzero(fit.match[lately] >= 0) >= max(int(lately.sum()), 1))
-
-
-@dataclass(frozen=True, slots=True)
-class Small:
-    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
-
-    part: Estimate
-    lately: Mask
 
 
 def small(here: Estimate, ledger: Ledger, scan: int) -> Small:

@@ -71,15 +71,11 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`.
-
-    `doubted`: something was seen on the way that speaks against it.
-    """
+    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`."""
 
     pose: Array
     cov: Array
     weight: float
-    doubted: bool = False
 
     @property
     def firm(self) -> bool:
