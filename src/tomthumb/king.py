@@ -24,7 +24,6 @@ from tomthumb.places import (
     Guess,
     Local,
     Stones,
-    as_believed,
     bare,
     clear,
     copied,
@@ -77,7 +76,7 @@ class Exile:
 class Return:
     """A verified way home: `fit` of the local landmarks `ids (k,)` on the old ones `named (k,)` (-1: not there).
 
-    `expected`: it leads where the robot is believed to be.
+    `expected`: it leads where the robot is believed to be, by the same pairs.
     """
 
     fit: Fit
@@ -97,7 +96,8 @@ class Small:
 @dataclass(frozen=True, slots=True)
 class Question:
     """Where does the map `here` lie on the stones `old`? `believed` (3,) is the motion by which the robot is where it is
-    believed to be, `stay` the log weight of that; `new` (k,) are landmarks that would then lie where nothing is known.
+    believed to be, `beside` the fit that lies next to it, `stay` their log weight; `new` (k,) are landmarks that would
+    then lie where nothing is known.
     """
 
     away: Exile
@@ -106,6 +106,7 @@ class Question:
     old: Stones
     local: Local
     believed: Array
+    beside: Fit
     new: Mask
     stay: float
 
@@ -142,11 +143,12 @@ def question(
     believed = compose(guess.pose, inverse(pose))
     new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
-    stay = _staying(fitted(q, covs, old.points, believed), local, old, guess)
+    beside = fitted(q, covs, old.points, believed)
+    stay = _staying(beside, local, old, guess)
     alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
     if guess.firm and max(stay, alike) > most - king.lead:
         return None
-    return Question(away, here, guess, old, local, believed, new, stay)
+    return Question(away, here, guess, old, local, believed, beside, new, stay)
 
 
 def answered(king: King, asked: Question) -> Return | None:
@@ -161,13 +163,18 @@ def answered(king: King, asked: Question) -> Return | None:
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
-    return Return(fit, asked.here.part.ids, named, as_believed(fit, asked.local, old, guess))
+    return Return(fit, asked.here.part.ids, named, _same(fit, asked.beside))
 
 
 def _staying(fit: Fit, local: Local, old: Stones, guess: Guess) -> float:
     """Log weight of being where the robot is believed to be, or at `fit` beside it."""
     best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
     return float(max([bare(local, old, guess), *best]))
+
+
+def _same(fit: Fit, other: Fit) -> bool:
+    """Whether most pairs of a fit are those of the other too: then both say that the robot is in the same place."""
+    return bool(2 * np.count_nonzero((fit.match >= 0) & (fit.match == other.match)) > fit.votes)
 
 
 def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:

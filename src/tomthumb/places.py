@@ -186,12 +186,6 @@ def copied(fit: Fit, share: Array, new: Mask, old: Stones, here: float) -> float
     return here + float(share[pairs].sum() + (1.0 - NEW) * np.count_nonzero(pairs)) + _occam_anywhere(fit, old)
 
 
-def as_believed(fit: Fit, local: Local, old: Stones, guess: Guess) -> bool:
-    """Whether the place is rather the one where the robot is believed to be than one that happens to lie near it."""
-    right, wrong = _priors(fit, local, old, guess)
-    return right > wrong
-
-
 def _priors(fit: Fit, local: Local, old: Stones, guess: Guess) -> tuple[float, float]:
     """log of the prior of a place, over the poses that fit as well: by what is believed, and if that is wrong."""
     right, wrong = guess.odds
