@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit, fits, fitted, perfect, shares, shares_at_most
+from tomthumb.constellation import Fit, fits, fitted, perfect, shares, shares_at_most, standing
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
@@ -96,7 +96,7 @@ class Small:
 @dataclass(frozen=True, slots=True)
 class Question:
     """Where does the map `here` lie on the stones `old`? `believed` (3,) is the motion by which the robot is where it is
-    believed to be, `beside` the fit that lies next to it, `stay` their log weight; `new` (k,) are landmarks that would
+    believed to be, `beside` the fits there and next to it, `stay` their log weight; `new` (k,) are landmarks that would
     then lie where nothing is known.
     """
 
@@ -106,7 +106,7 @@ class Question:
     old: Stones
     local: Local
     believed: Array
-    beside: Fit
+    beside: list[Fit]
     new: Mask
     stay: float
 
@@ -143,7 +143,7 @@ def question(
     believed = compose(guess.pose, inverse(pose))
     new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
-    beside = fitted(q, covs, old.points, believed)
+    beside = [make(q, covs, old.points, believed) for make in (fitted, standing)]
     stay = _staying(beside, local, old, guess)
     alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
     if guess.firm and max(stay, alike) > most - king.lead:
@@ -155,7 +155,7 @@ def answered(king: King, asked: Question) -> Return | None:
     """The place that outweighs all others, and that the robot is where it is believed to be, or nowhere on the map."""
     q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
     found = [fit for fit in fits(q, covs, old.points, asked.believed) if fit.votes >= LEAST]
-    rest = [bare(asked.local, old, guess), guess.odds[1]]
+    rest = [asked.stay if guess.firm else bare(asked.local, old, guess), guess.odds[1]]
     if guess.firm:
         rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
     chosen = clear(weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
@@ -163,12 +163,12 @@ def answered(king: King, asked: Question) -> Return | None:
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
-    return Return(fit, asked.here.part.ids, named, _same(fit, asked.beside))
+    return Return(fit, asked.here.part.ids, named, any(_same(fit, other) for other in asked.beside))
 
 
-def _staying(fit: Fit, local: Local, old: Stones, guess: Guess) -> float:
-    """Log weight of being where the robot is believed to be, or at `fit` beside it."""
-    best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
+def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> float:
+    """Log weight of being where the robot is believed to be, or next to it, by the best of the fits or without any."""
+    best = weighed([fit for fit in beside if np.isfinite(fit.gain)], local, old, guess)
     return float(max([bare(local, old, guess), *best]))
 
 
