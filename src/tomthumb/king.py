@@ -146,7 +146,7 @@ def question(
     beside = [make(q, covs, old.points, believed) for make in (fitted, standing)]
     stay = _staying(beside, local, old, guess)
     alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
-    if guess.firm and max(stay, alike) > most - king.lead:
+    if guess.firm and (max(stay, alike) if guess.may_walk_on else stay) > most - king.lead:
         return None
     return Question(away, here, guess, old, local, believed, beside, new, stay)
 
@@ -156,7 +156,7 @@ def answered(king: King, asked: Question) -> Return | None:
     q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
     found = [fit for fit in fits(q, covs, old.points, asked.believed) if fit.votes >= LEAST]
     rest = [asked.stay if guess.firm else bare(asked.local, old, guess), guess.odds[1]]
-    if guess.firm:
+    if guess.may_walk_on:
         rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
     chosen = clear(weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
     if chosen is None or not _is_here(found[chosen], asked.here.lately) or _rivalled(king, found, chosen):

@@ -171,7 +171,7 @@ def ask(walker: Walker, slam: Slam, king: King, whole: Estimate) -> Found | None
     away = left_behind(home, whole.only(old))
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
-    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare))
+    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), slam.court.watch.doubtful)
     mine = small(here, walker.branch.ledger, slam.scan)
     asked = question(king, away, mine, guess, slam.sensor, slam.detection)
     walker.unsettled = asked is not None

@@ -71,16 +71,25 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`."""
+    """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`.
+
+    `doubted`: something that is known was missed on the way there, and nothing old has been met since.
+    """
 
     pose: Array
     cov: Array
     weight: float
+    doubted: bool = False
 
     @property
     def firm(self) -> bool:
         """Believed rather than not: then being elsewhere is what has to be shown."""
         return self.weight > 0.5
+
+    @property
+    def may_walk_on(self) -> bool:
+        """Whether new land may be just that: the robot is believed to be right, and nothing has been missed on the way."""
+        return self.firm and not self.doubted
 
     @property
     def odds(self) -> tuple[float, float]:
