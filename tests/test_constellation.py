@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tomthumb.constellation import Within, fits, shares, shares_at_most, spacing, standing
+from tomthumb.constellation import Within, fits, fitted, shares, shares_at_most, spacing, standing
 from tomthumb.geometry import align, compose, inverse, to_world
 
 
@@ -139,4 +139,5 @@ def test_a_pose_that_stands_keeps_its_pairs_where_wide_gates_draw_a_fit_away():
     covs = np.tile(0.3**2 * np.eye(2), (12, 1, 1))
     fit = standing(q, covs, points, np.zeros(3))
     assert fit.match[:6].tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.abs(fitted(q, covs, points, np.zeros(3)).motion[:2]).max() > 0.1
     np.testing.assert_array_equal(fit.motion, np.zeros(3))
