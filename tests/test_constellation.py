@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tomthumb.constellation import Within, fits, spacing
+from tomthumb.constellation import Within, fits, fitted, shares, shares_at_most, spacing, standing
 from tomthumb.geometry import align, compose, inverse, to_world
 
 
@@ -104,3 +104,40 @@ def test_spacing_is_the_distance_to_the_nearest_neighbour():
     distance = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     np.testing.assert_allclose(spacing(points), distance.min(1))
+
+
+def test_shares_are_what_a_gain_is_made_of():
+    rng = np.random.default_rng(7)
+    points = scattered(rng)
+    q = np.concatenate([points[:8], [[900.0, 900.0]]]) + 0.02 * rng.standard_normal((9, 2))
+    covs = np.tile(0.02**2 * np.eye(2), (9, 1, 1))
+    fit = fits(q, covs, points)[0]
+    each = shares(fit, q, covs, points)
+    assert each.sum() == pytest.approx(fit.gain)
+    assert (each[fit.match < 0] == 0.0).all()
+    assert (each <= shares_at_most(covs, points) + 1e-12).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pose_that_stands_is_not_moved_and_every_pair_speaks_for_it(seed):
+    rng = np.random.default_rng(seed)
+    points = scattered(rng)
+    motion = np.array([3.0, -2.0, 0.4])
+    q = to_world(inverse(motion), points[:9] + 0.05 * rng.standard_normal((9, 2)))
+    covs = np.tile(0.05**2 * np.eye(2), (9, 1, 1))
+    fit = standing(q, covs, points, motion)
+    np.testing.assert_array_equal(fit.motion, motion)
+    assert (shares(fit, q, covs, points)[fit.match >= 0] >= -1e-9).all()
+    assert fit.gain == pytest.approx(shares(fit, q, covs, points).sum())
+    assert standing(q, covs, points, motion + np.array([500.0, 0.0, 0.0])).gain == -np.inf
+
+
+def test_a_pose_that_stands_keeps_its_pairs_where_wide_gates_draw_a_fit_away():
+    """Six landmarks lie just where the map has them; new ones, a metre beside the others, are no pairs of theirs."""
+    points = np.array([[x, y] for x in range(6) for y in (0.0, 0.2)] + [[40.0, 0.0], [40.0, 5.0], [45.0, 5.0]])
+    q = np.concatenate([points[:6], points[6:12] + np.array([0.45, 0.35])])
+    covs = np.tile(0.3**2 * np.eye(2), (12, 1, 1))
+    fit = standing(q, covs, points, np.zeros(3))
+    assert fit.match[:6].tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.abs(fitted(q, covs, points, np.zeros(3)).motion[:2]).max() > 0.1
+    np.testing.assert_array_equal(fit.motion, np.zeros(3))

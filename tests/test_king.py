@@ -10,15 +10,18 @@ import pytest
 import tomthumb
 from tomthumb.branches import told as branches_told
 from tomthumb.errors import TomThumbError
-from tomthumb.king import King, small
+from tomthumb.geometry import inverse, to_world
+from tomthumb.king import Exile, King, Small, small, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.lookout import Keeping
 from tomthumb.metrics.evaluation import evaluate
-from tomthumb.places import thinned
+from tomthumb.models.sensor import RangeBearing
+from tomthumb.places import Guess, thinned
 from tomthumb.runner import collect, prepare
 from tomthumb.scenarios.cloister import cloister
 from tomthumb.scenarios.kidnap import kidnapped
 from tomthumb.scout import Scouting
+from tomthumb.sensing import DetectionMap
 from tomthumb.types import Control, Estimate, Step
 from tomthumb.watch import Consistency, Watch
 
@@ -248,3 +251,41 @@ def test_in_a_map_that_was_loaded_all_is_old_and_nobody_sets_out():
 def test_rules_that_mean_nothing_are_refused_in_a_line(part, wrong):
     with pytest.raises(TomThumbError, match=next(iter(wrong))):
         part(**wrong)
+
+
+def asked_at(believed, std: float, true_pose, seed: int = 0):
+    """The way home of a robot that stands at `true_pose` in a wood and believes otherwise."""
+    rng = np.random.default_rng(seed)
+    sensor = RangeBearing(max_range=6.0, fov=2.0 * np.pi, std=(0.05, 0.01), detect=0.95)
+    points = 40.0 * rng.random((320, 2))
+    q = to_world(inverse(true_pose), points)
+    q = q[np.hypot(*q.T) < sensor.max_range]
+    q = q + 0.03 * rng.standard_normal(q.shape)
+    old = Estimate(np.array(believed), std**2 * np.eye(3), np.arange(320), points, None, np.ones(320, bool))
+    part = Estimate(
+        np.zeros(3), 1e-6 * np.eye(3), np.arange(len(q)), q, np.tile(0.03**2 * np.eye(2), (len(q), 1, 1)),
+        np.ones(len(q), bool),
+    )  # fmt: skip
+    away = Exile(None, old, np.full(320, 0.95), trail=[np.zeros(3)])
+    guess = Guess(old.pose, old.pose_cov, 1.0 - np.exp(-King().rare))
+    return way_home(King(), away, Small(part, np.ones(len(q), bool)), guess, sensor, DetectionMap(0.95))
+
+
+TRUE = np.array([20.0, 17.0, 2.0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_new_land_may_look_like_old_but_known_land_may_not(seed):
+    assert asked_at([90.0, 90.0, 0.0], 0.05, TRUE, seed) is None  # all of it lies where nothing is known
+    way = asked_at([28.0, 25.0, 0.0], 0.05, TRUE, seed)  # here other stones ought to be seen
+    assert way is not None
+    np.testing.assert_allclose(way.fit.motion, TRUE, atol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_place_near_the_believed_one_is_another_one_if_its_pairs_are(seed):
+    way = asked_at(TRUE + np.array([0.5, -0.4, 0.2]), 0.3, TRUE, seed)
+    assert way is not None
+    assert not way.expected
+    stays = asked_at(TRUE + np.array([0.02, 0.0, 0.0]), 0.3, TRUE, seed)
+    assert stays is None or stays.expected

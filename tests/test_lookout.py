@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tomthumb import lookout
 from tomthumb.king import King
 from tomthumb.lookout import Keeping, ask
 from tomthumb.runner import prepare
@@ -62,4 +63,37 @@ def test_a_brother_who_agrees_has_nothing_to_say():
         slam.step(step.t, step.control, step.observations)
     walkers = slam.court.lookout.walkers
     assert len(walkers) > 4
-    assert all(ask(walker, slam, King(), slam.estimate(), False) is None for walker in walkers)
+    assert all(ask(walker, slam, King(), slam.estimate()) is None for walker in walkers)
+
+
+def test_what_the_family_founded_since_somebody_set_out_is_not_asked(monkeypatch):
+    slam = prepare(cloister(np.random.default_rng(8), laps=2), associator="jcbb", settings=KING)
+    for step in list(cloister(np.random.default_rng(8), laps=2).steps)[:61]:
+        slam.step(step.t, step.control, step.observations)
+    asked = []
+    monkeypatch.setattr(lookout, "question", lambda king, away, *rest: asked.append(away))
+    for walker in slam.court.lookout.walkers:
+        ask(walker, slam, King(), slam.estimate())
+    ledger = slam.branches[0].ledger
+    assert len(asked) == len(slam.court.lookout.walkers) > 4
+    for walker, away in zip(slam.court.lookout.walkers, asked, strict=True):
+        youngest = max(ledger[i].born for i in away.old.ids.tolist())
+        assert youngest <= walker.since.scan - Keeping().every
+    assert max(life.born for life in ledger.values()) > slam.court.lookout.walkers[-1].since.scan - Keeping().every
+
+
+def test_between_two_looks_only_who_was_near_an_answer_is_asked(monkeypatch):
+    slam = prepare(cloister(np.random.default_rng(9), laps=2), associator="jcbb", settings=KING)
+    asked = []
+
+    def noted(walker, loop, *rest):
+        asked.append((loop.scan + 1, walker.unsettled))
+        walker.unsettled = walker is loop.court.lookout.walkers[0]
+
+    monkeypatch.setattr(lookout, "ask", noted)
+    for step in list(cloister(np.random.default_rng(9), laps=2).steps)[:60]:
+        slam.step(step.t, step.control, step.observations)
+    between = [unsettled for scan, unsettled in asked if scan % Keeping().every]
+    assert between
+    assert all(between)
+    assert not all(unsettled for scan, unsettled in asked if scan % Keeping().every == 0)

@@ -8,7 +8,7 @@ large-scale environments", Robotics and Autonomous Systems 37, 2001 (the idea of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,39 @@ def fitted(q: Array, covs: Array, points: Array, motion: Array) -> Fit:
     grid = fill_grid(points, GATE * float(spread.max()))
     start = _about_centre(motion, centre)
     return _about(_refined(start, q - centre, spread, _gains(spread, points), points, grid), centre)
+
+
+def standing(q: Array, covs: Array, points: Array, motion: Array) -> Fit:
+    """The pairs that speak for a `motion` (3,) as it is; gain -inf where there are none.
+
+    Where a local map is known poorly, wide gates let wrong pairs draw the refined fit away from a pose that is right.
+    """
+    spread, centre = _spread(covs), q.mean(0)
+    gain = _gains(spread, points)
+    reach = np.minimum(np.sqrt(2.0 * gain), GATE) * spread
+    grid = fill_grid(points, float(reach.max()))
+    match = kernel.pair_up(_about_centre(motion, centre), q - centre, reach, points, *grid)
+    rows = np.flatnonzero(match >= 0)
+    if len(rows) < 2:
+        return Fit(motion, np.eye(3), match, len(rows), -np.inf)
+    cov = _laid(q[rows] - centre, points[match[rows]], spread[rows])[1]
+    gaps = points[match[rows]] - to_world(motion, q[rows])
+    total = float((gain[rows] - 0.5 * (gaps**2).sum(1) / spread[rows] ** 2).sum())
+    return replace(_about(Fit(_about_centre(motion, centre), cov, match, len(rows), total), centre), motion=motion)
+
+
+def shares_at_most(covs: Array, points: Array) -> Array:
+    """The most that each local point (k,) can add to the gain of a fit, nats."""
+    return _gains(_spread(covs), points)
+
+
+def shares(fit: Fit, q: Array, covs: Array, points: Array) -> Array:
+    """What each local point (k,) adds to the gain of a fit, nats; 0 where it has no partner."""
+    spread, rows = _spread(covs), np.flatnonzero(fit.match >= 0)
+    gaps = points[fit.match[rows]] - to_world(fit.motion, q[rows])
+    out = np.zeros(len(q))
+    out[rows] = _gains(spread, points)[rows] - 0.5 * (gaps**2).sum(1) / spread[rows] ** 2
+    return out
 
 
 def perfect(q: Array, covs: Array, points: Array) -> Fit:

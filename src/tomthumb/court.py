@@ -132,7 +132,7 @@ class Court:
         return {"king": "home", "votes": way.fit.votes}
 
     def _look_out(self, slam: Slam, king: King) -> dict[str, Any]:
-        found = self.lookout.after(slam, king, self.watch.doubtful)
+        found = self.lookout.after(slam, king)
         if found is None:
             return {}
         slam.branches = [recalled(slam, found)]

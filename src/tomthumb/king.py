@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tomthumb.branches import Branch
-from tomthumb.constellation import Fit, fits, fitted, perfect
+from tomthumb.constellation import Fit, fits, fitted, perfect, shares, shares_at_most, standing
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
 from tomthumb.lifecycle import Ledger
@@ -24,9 +24,9 @@ from tomthumb.places import (
     Guess,
     Local,
     Stones,
-    as_believed,
     bare,
     clear,
+    copied,
     most_elsewhere,
     stones,
     view,
@@ -36,7 +36,6 @@ from tomthumb.protocols import Sensor
 from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Estimate, Ids, Mask
 
-KNOWN = 0.5  # of what is seen must lie where there are stones, to speak against where the robot believes to be
 LATELY = 5  # scans: what was seen in them is here
 LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no proof of it
 
@@ -77,13 +76,39 @@ class Exile:
 class Return:
     """A verified way home: `fit` of the local landmarks `ids (k,)` on the old ones `named (k,)` (-1: not there).
 
-    `expected`: it leads where the robot is believed to be.
+    `expected`: it leads where the robot is believed to be, by the same pairs.
     """
 
     fit: Fit
     ids: Ids
     named: Ids
     expected: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Small:
+    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
+
+    part: Estimate
+    lately: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Where does the map `here` lie on the stones `old`? `believed` (3,) is the motion by which the robot is where it is
+    believed to be, `beside` the fits there and next to it, `stay` their log weight; `new` (k,) are landmarks that would
+    then lie where nothing is known.
+    """
+
+    away: Exile
+    here: Small
+    guess: Guess
+    old: Stones
+    local: Local
+    believed: Array
+    beside: list[Fit]
+    new: Mask
+    stay: float
 
 
 def left_behind(branch: Branch, old: Estimate) -> Exile:
@@ -99,33 +124,57 @@ def way_home(
     """Where the small map `here` lies in the old one, if that can be verified; None otherwise. `guess`: where the robot
     is believed to be in the old map.
     """
+    asked = question(king, away, here, guess, sensor, detection)
+    return None if asked is None else answered(king, asked)
+
+
+def question(
+    king: King, away: Exile, here: Small, guess: Guess, sensor: Sensor, detection: DetectionMap
+) -> Question | None:
+    """What there is to be searched for; None where no place, be it ever so good, could outweigh what is believed."""
     q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
     if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
     old = stones(away.old.landmarks, away.exist)
-    most = most_elsewhere(perfect(q, covs, old.points), old, guess)
+    best = perfect(q, covs, old.points)
+    most = most_elsewhere(best, old, guess)
     if guess.firm and most < king.lead + guess.odds[1]:
         return None
     believed = compose(guess.pose, inverse(pose))
-    if guess.firm and not guess.doubted and float(old.cover(to_world(believed, q[here.lately])).mean()) < KNOWN:
-        return None
+    new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
-    if guess.firm and _may_stay(king, fitted(q, covs, old.points, believed), local, old, guess, most):
+    beside = [make(q, covs, old.points, believed) for make in (fitted, standing)]
+    stay = _staying(beside, local, old, guess)
+    alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
+    if guess.firm and (max(stay, alike) if guess.may_walk_on else stay) > most - king.lead:
         return None
-    found = [fit for fit in fits(q, covs, old.points, believed) if fit.votes >= LEAST]
-    rest = float(np.logaddexp(bare(local, old, guess), guess.odds[1]))
-    chosen = clear(weighed(found, local, old, guess), rest, king.lead)
-    if chosen is None or not _is_here(found[chosen], here.lately) or _rivalled(king, found, chosen):
+    return Question(away, here, guess, old, local, believed, beside, new, stay)
+
+
+def answered(king: King, asked: Question) -> Return | None:
+    """The place that outweighs all others, and that the robot is where it is believed to be, or nowhere on the map."""
+    q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
+    found = [fit for fit in fits(q, covs, old.points, asked.believed) if fit.votes >= LEAST]
+    rest = [asked.stay if guess.firm else bare(asked.local, old, guess), guess.odds[1]]
+    if guess.may_walk_on:
+        rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
+    chosen = clear(weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
+    if chosen is None or not _is_here(found[chosen], asked.here.lately) or _rivalled(king, found, chosen):
         return None
     fit = found[chosen]
-    named = np.where(fit.match >= 0, away.old.ids[fit.match], -1)
-    return Return(fit, here.part.ids, named, as_believed(fit, local, old, guess))
+    named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
+    return Return(fit, asked.here.part.ids, named, any(_same(fit, other) for other in asked.beside))
 
 
-def _may_stay(king: King, fit: Fit, local: Local, old: Stones, guess: Guess, most: float) -> bool:
-    """Whether what is believed, or `fit` beside it, holds its own against whatever may be elsewhere."""
-    best = weighed([fit] if np.isfinite(fit.gain) else [], local, old, guess)
-    return bool(max([bare(local, old, guess), *best]) > most - king.lead)
+def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> float:
+    """Log weight of being where the robot is believed to be, or next to it, by the best of the fits or without any."""
+    best = weighed([fit for fit in beside if np.isfinite(fit.gain)], local, old, guess)
+    return float(max([bare(local, old, guess), *best]))
+
+
+def _same(fit: Fit, other: Fit) -> bool:
+    """Whether most pairs of a fit are those of the other too: then both say that the robot is in the same place."""
+    return bool(2 * np.count_nonzero((fit.match >= 0) & (fit.match == other.match)) > fit.votes)
 
 
 def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:
@@ -138,14 +187,6 @@ def _rivalled(king: King, found: Sequence[Fit], chosen: int) -> bool:
 def _is_here(fit: Fit, lately: Mask) -> bool:
     """Whether half of what was seen lately is part of the fit: not only of where the robot was before it was carried."""
     return bool(2 * np.count_nonzero(fit.match[lately] >= 0) >= max(int(lately.sum()), 1))
-
-
-@dataclass(frozen=True, slots=True)
-class Small:
-    """The map of the time away, and which of its landmarks (k,) were seen lately: the robot is there, not where it was."""
-
-    part: Estimate
-    lately: Mask
 
 
 def small(here: Estimate, ledger: Ledger, scan: int) -> Small:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tomthumb.branches import CERTAIN, Branch, told
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.king import Exile, King, Return, left_behind, small, way_home
+from tomthumb.king import Exile, King, Return, answered, left_behind, question, small
 from tomthumb.places import Guess
 from tomthumb.revision import Moment, apart_from
 from tomthumb.types import Array, Control, Estimate
@@ -59,11 +59,15 @@ class Note:
 
 @dataclass(slots=True)
 class Walker:
-    """A brother's loop, where it began, and his poses at each scan since."""
+    """A brother's loop, where it began, and his poses at each scan since.
+
+    `unsettled`: when he was last asked, another place might have outweighed the one that is believed.
+    """
 
     loop: Slam
     since: Note
     trail: list[Array] = field(default_factory=list)
+    unsettled: bool = False
 
     @property
     def branch(self) -> Branch:
@@ -107,22 +111,21 @@ class Lookout:
             self.recent.popleft()
         self.walkers = [walker for walker in self.walkers if walker.go_along(moment)]
 
-    def after(self, slam: Slam, king: King, doubted: bool) -> Found | None:
-        """After each scan: who sets out, who has walked enough, and at every look what they have found.
-
-        `doubted`: something speaks against the believed pose.
+    def after(self, slam: Slam, king: King) -> Found | None:
+        """After each scan: who sets out, who has walked enough, and what those who are asked have found: at every look
+        all of them, in between who was not far from an answer.
         """
         self._count(slam)
-        if (slam.scan + 1) % self.rules.every:
-            return None
-        if self._discontent():
+        due = (slam.scan + 1) % self.rules.every == 0
+        if due and self._discontent():
             self._set_out(slam)
         self.walkers = [walker for walker in self.walkers if len(walker.trail) <= self.rules.life]
-        if not self.walkers:
+        asked = [walker for walker in self.walkers if due or walker.unsettled]
+        if not asked:
             return None
         whole = slam.estimator.estimate(slam.branches[0].belief)
-        for walker in self.walkers:
-            found = ask(walker, slam, king, whole, doubted)
+        for walker in asked:
+            found = ask(walker, slam, king, whole)
             if found is not None:
                 return found
         return None
@@ -156,16 +159,23 @@ def _loop(slam: Slam, since: Note) -> Slam:
     return loop
 
 
-def ask(walker: Walker, slam: Slam, king: King, whole: Estimate, doubted: bool) -> Found | None:
-    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes."""
+def ask(walker: Walker, slam: Slam, king: King, whole: Estimate) -> Found | None:
+    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes.
+
+    He set out up to `every` scans after the robot was carried away. What the family has founded since then stands
+    where it would have it, be it right or wrong, and says nothing of which it is: that is not asked.
+    """
     home = slam.branches[0]
-    old = np.array([home.ledger[i].born < walker.since.scan for i in whole.ids.tolist()], bool)
+    before = walker.since.scan - slam.court.lookout.rules.every + 1
+    old = np.array([home.ledger[i].born < before for i in whole.ids.tolist()], bool)
     away = left_behind(home, whole.only(old))
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
-    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), doubted)
+    guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), slam.court.watch.doubtful)
     mine = small(here, walker.branch.ledger, slam.scan)
-    way = way_home(king, away, mine, guess, slam.sensor, slam.detection)
+    asked = question(king, away, mine, guess, slam.sensor, slam.detection)
+    walker.unsettled = asked is not None
+    way = None if asked is None else answered(king, asked)
     return None if way is None or way.expected else Found(way, walker, away)
 
 

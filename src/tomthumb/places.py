@@ -73,7 +73,7 @@ class View:
 class Guess:
     """A pose that is believed: `weight` is the probability that it is right, within its covariance and `DRIFT`.
 
-    `doubted`: something was seen on the way that speaks against it.
+    `doubted`: something that is known was missed on the way there, and nothing old has been met since.
     """
 
     pose: Array
@@ -85,6 +85,11 @@ class Guess:
     def firm(self) -> bool:
         """Believed rather than not: then being elsewhere is what has to be shown."""
         return self.weight > 0.5
+
+    @property
+    def may_walk_on(self) -> bool:
+        """Whether new land may be just that: the robot is believed to be right, and nothing has been missed on the way."""
+        return self.firm and not self.doubted
 
     @property
     def odds(self) -> tuple[float, float]:
@@ -179,10 +184,15 @@ def most_elsewhere(best: Fit, old: Stones, guess: Guess) -> float:
     return float(best.gain + (1.0 - NEW) * len(best.match) + guess.odds[1] + _occam_anywhere(best, old))
 
 
-def as_believed(fit: Fit, local: Local, old: Stones, guess: Guess) -> bool:
-    """Whether the place is rather the one where the robot is believed to be than one that happens to lie near it."""
-    right, wrong = _priors(fit, local, old, guess)
-    return right > wrong
+def copied(fit: Fit, share: Array, new: Mask, old: Stones, here: float) -> float:
+    """Log weight of being where the robot believes to be, `here`, where the new land merely looks like that of `fit`.
+
+    `share` (k,): what each local landmark adds to the fit's gain; `new` (k,): those that would lie where nothing is known.
+    The sides of a cloister do look alike, so a robot that walks into new land is sent elsewhere only by what it sees, or
+    misses, in land that it knows.
+    """
+    pairs = new & (fit.match >= 0)
+    return here + float(share[pairs].sum() + (1.0 - NEW) * np.count_nonzero(pairs)) + _occam_anywhere(fit, old)
 
 
 def _priors(fit: Fit, local: Local, old: Stones, guess: Guess) -> tuple[float, float]:
