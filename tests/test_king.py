@@ -284,8 +284,14 @@ def test_new_land_may_look_like_old_but_known_land_may_not(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_place_near_the_believed_one_is_another_one_if_its_pairs_are(seed):
-    way = asked_at(TRUE + np.array([0.5, -0.4, 0.2]), 0.3, TRUE, seed)
+    way = asked_at(TRUE + np.array([0.5, -0.4, 0.2]), 0.1, TRUE, seed)
     assert way is not None
     assert not way.expected
     stays = asked_at(TRUE + np.array([0.02, 0.0, 0.0]), 0.3, TRUE, seed)
     assert stays is None or stays.expected
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_within_the_gate_of_its_pose_nobody_is_carried(seed):
+    way = asked_at(TRUE + np.array([0.15, -0.15, 0.0]), 0.08, TRUE, seed)
+    assert way is None or way.expected

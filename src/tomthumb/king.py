@@ -18,7 +18,7 @@ import numpy as np
 from tomthumb.branches import Branch
 from tomthumb.constellation import Fit, fits, fitted, perfect, shares, shares_at_most, standing
 from tomthumb.errors import TomThumbError
-from tomthumb.geometry import compose, compose_jacobians, inverse, to_world
+from tomthumb.geometry import compose, compose_jacobians, inverse, to_world, wrap_angle
 from tomthumb.lifecycle import Ledger
 from tomthumb.places import (
     Guess,
@@ -37,6 +37,7 @@ from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Estimate, Ids, Mask
 
 LATELY = 5  # scans: what was seen in them is here
+NEAR = 16.27  # chi-square, 3 degrees of freedom, 99.9 %
 LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no proof of it
 
 
@@ -163,13 +164,21 @@ def answered(king: King, asked: Question) -> Return | None:
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
-    return Return(fit, asked.here.part.ids, named, any(_same(fit, other) for other in asked.beside))
+    return Return(fit, asked.here.part.ids, named, _expected(fit, asked))
 
 
 def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> float:
     """Log weight of being where the robot is believed to be, or next to it, by the best of the fits or without any."""
     best = weighed([fit for fit in beside if np.isfinite(fit.gain)], local, old, guess)
     return float(max([bare(local, old, guess), *best]))
+
+
+def _expected(fit: Fit, asked: Question) -> bool:
+    """Whether a place is the one where the robot is believed to be: within the gate of its pose, or by the same pairs."""
+    gap = compose(fit.motion, asked.local.pose) - asked.guess.pose
+    gap[2] = wrap_angle(gap[2])
+    near = bool(gap @ np.linalg.solve(asked.guess.cov + fit.cov, gap) < NEAR)
+    return near or any(_same(fit, other) for other in asked.beside)
 
 
 def _same(fit: Fit, other: Fit) -> bool:
