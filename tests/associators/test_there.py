@@ -131,3 +131,12 @@ def test_in_the_curved_window_labels_still_rule_out():
     near = curved_window(told, s, 1.0 - 1e-6)
     assert set(theirs[near.columns]) == {0}
     assert len(near.columns) < len(curved_window(problem, s, 1.0 - 1e-6).columns)
+
+
+def test_linear_sums_are_believed_where_that_is_asked_for():
+    """`bent` without end is STT on the linearised covariance, as the exact maximum is."""
+    problem, truth = turned_scan(np.random.default_rng(0), 6, 30.0)
+    curved, linear = (TomThumb(bent=b).associate(problem, np.random.default_rng(0))[0] for b in (1.0, 1e9))
+    assert (curved.match == truth).all()
+    assert curved.info["proof"] == "truncated"
+    assert (linear.match != truth).any()

@@ -52,6 +52,7 @@ CERTAIN = 6  # observations up to which the certificate comes first in a hard sc
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
 SHORT, SOON = 64, 2000  # the same where landmarks err together even given the pose: nodes are dearer there
+STRAIGHT = 1.0  # what linearising may leave out, over the noise, for linear sums to be believed
 MANY = 256  # hypotheses that may be listed then
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}
@@ -69,8 +70,9 @@ class TomThumb:
     integrate the pose out, when a decision is not `sure` or there are several basins within `reach` nats. quick: nats that
     every pairing of an unambiguous scan must gain for it to be done at once (0: never). listed: nats behind the best within
     which all hypotheses of a small scan are summed (0: never). hard: mean number of candidates from which a scan is ambiguous
-    and pose basins are searched. memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within
-    `clip` nats a scan; at most `size` landmarks are remembered.
+    and pose basins are searched. bent: what linearising the pose leaves out, over the noise, from which they are searched at
+    once. memory: weigh candidates by who was seen with whom (STDP) in the last `recent` s, within `clip` nats a scan; at most
+    `size` landmarks are remembered.
     """
 
     gates: tuple[float, float] = (1.0 - 1e-6, 1.0 - 1e-6)
@@ -91,6 +93,7 @@ class TomThumb:
     quick: float = 4.0
     listed: float = 6.0
     hard: float = 1.5
+    bent: float = 1.0
     memory: bool = False
     recent: float = 3.0
     clip: float = 2.0
@@ -98,7 +101,9 @@ class TomThumb:
     lessons: LogMemory = field(default=None, repr=False)  # type: ignore[assignment]  # made below; a copy takes it along
 
     def __post_init__(self) -> None:
-        from_zero("associator", self, "nodes flights patience anchors ambiguity least samples reach quick listed hard")
+        from_zero(
+            "associator", self, "nodes flights patience anchors ambiguity least samples reach quick listed hard bent"
+        )
         if self.lessons is None:
             self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 
@@ -112,7 +117,8 @@ class TomThumb:
         own, odds = base_gains(problem, prior)
         near = window(problem.weighed_d2, self.gates[1])
         cov = np.ascontiguousarray(problem.predictions.cov)
-        if self.decide == "marginal" and m > 2 and self._is_bent(problem):
+        bend = _bend(problem)
+        if self.decide == "marginal" and m > 2 and bend >= self.bent:
             turned = self._over_bent_poses(problem, own, odds, rng)
             if turned is not None:
                 return turned
@@ -124,7 +130,7 @@ class TomThumb:
                 return [Association(match, value, {"proof": "unambiguous", "nodes": 0, "objective": value}, chance)]
         hard = self._is_hard(near)
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
-        listed = self._listed(problem, given, near) if self._may_be_listed(problem, near) else None
+        listed = self._listed(problem, given, near) if bend < STRAIGHT and self._may_be_listed(near) else None
         if listed is not None:
             return [listed]
         if self.decide == "map":
@@ -167,19 +173,9 @@ class TomThumb:
         """Whether sums over all hypotheses are what is wanted."""
         return self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
 
-    def _may_be_listed(self, problem: AssociationProblem, near: Window) -> bool:
-        """Few pairings to choose from, under a pose so well known that nothing is lost by linearising it."""
-        if not self._lists or near.start[-1] > LONG or self.gates[0] < self.gates[1]:
-            return False
-        return problem.predictions.pose_cov is not None and not self._is_bent(problem)
-
-    def _is_bent(self, problem: AssociationProblem) -> bool:
-        """Whether linearising the pose leaves out more than the noise."""
-        given = problem.predictions
-        if given.pose_cov is None:
-            return False
-        shape = problem.z, problem.R, given.z_hat, given.cov
-        return bool(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)) >= 1.0)
+    def _may_be_listed(self, near: Window) -> bool:
+        """Few pairings to choose from."""
+        return bool(self._lists and near.start[-1] <= LONG and self.gates[0] >= self.gates[1])
 
     def _is_hard(self, near: Window) -> bool:
         """More than one candidate for most observations, or a large scan: pose basins matter."""
@@ -382,6 +378,15 @@ class TomThumb:
         """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
         near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
         return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
+
+
+def _bend(problem: AssociationProblem) -> float:
+    """What linearising the pose leaves out, over the noise; nan, which passes no test, where the pose is not told."""
+    given = problem.predictions
+    if given.pose_cov is None:
+        return np.nan
+    shape = problem.z, problem.R, given.z_hat, given.cov
+    return float(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)))
 
 
 def _left_out(match: Ids, value: float, given: Given, near: Window) -> Basin:
