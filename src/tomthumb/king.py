@@ -77,7 +77,7 @@ class Exile:
 class Return:
     """A verified way home: `fit` of the local landmarks `ids (k,)` on the old ones `named (k,)` (-1: not there).
 
-    `expected`: it leads where the robot is believed to be, by the same pairs.
+    `expected`: it leads where the robot is believed to be, within the gate of that pose or by the same pairs.
     """
 
     fit: Fit
@@ -175,9 +175,10 @@ def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> 
 
 def _expected(fit: Fit, asked: Question) -> bool:
     """Whether a place is the one where the robot is believed to be: within the gate of its pose, or by the same pairs."""
-    gap = compose(fit.motion, asked.local.pose) - asked.guess.pose
+    pose, cov = pose_home(fit, asked.local.pose, asked.here.part.pose_cov)
+    gap = pose - asked.guess.pose
     gap[2] = wrap_angle(gap[2])
-    near = bool(gap @ np.linalg.solve(asked.guess.cov + fit.cov, gap) < NEAR)
+    near = bool(gap @ np.linalg.solve(asked.guess.cov + cov, gap) < NEAR)
     return near or any(_same(fit, other) for other in asked.beside)
 
 
