@@ -94,6 +94,41 @@ def descend(
 
 
 @jit
+def by_itself(q: Array, R: Array, points: Array, D: Array, Xi: Array, prior_inverse: Array, gate2: float) -> Array:
+    """Squared distance (m, n) of each pairing, by itself: the least of xi' Xi^-1 xi + r' V^-1 r over the motion xi.
+
+    Chi-square of two degrees of freedom, however far the turn: no arc is linearised. Gauss-Newton from the turn between the two
+    bearings. A pairing whose distances from the robot differ by more than shift and noise allow is inf without that.
+    """
+    m, n, d2 = q.shape[0], points.shape[0], np.full((q.shape[0], points.shape[0]), np.inf)
+    far, shift = math.sqrt(gate2 * Xi[2, 2]), _largest(Xi[0, 0], Xi[0, 1], Xi[1, 1])
+    at, M, g = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for j in range(n):
+        x, y = points[j, 0], points[j, 1]
+        for i in range(m):
+            a, b, d = R[i, 0, 0] + D[j, 0, 0], R[i, 0, 1] + D[j, 0, 1], R[i, 1, 1] + D[j, 1, 1]
+            gap = math.hypot(q[i, 0], q[i, 1]) - math.hypot(x, y)
+            if gap * gap > gate2 * (shift + _largest(a, b, d)):
+                continue
+            turn = math.atan2(x * q[i, 1] - y * q[i, 0], x * q[i, 0] + y * q[i, 1])
+            at[0], at[1], at[2] = 0.0, 0.0, min(max(turn, -far), far)
+            for _ in range(4):
+                M[:], g[:] = prior_inverse, -_times(prior_inverse, at)
+                _add_part(M, g, at, q[i], R[i], points[j], D[j])
+                at += _times(inverse(M), g)
+            c, s = math.cos(at[2]), math.sin(at[2])
+            u, v = q[i, 0] - c * x + s * y - at[0], q[i, 1] - s * x - c * y - at[1]
+            d2[i, j] = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b) - 2.0 * log_prior(at, prior_inverse)
+    return d2
+
+
+@jit
+def _largest(a: float, b: float, d: float) -> float:
+    """The larger eigenvalue of [[a, b], [b, d]]."""
+    return 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
+
+
+@jit
 def refine(
     pose: Array, q: Array, R: Array, points: Array, D: Array, base: Array, odds: Array, prior_inverse: Array,
     start: Array, columns: Array, gate2: float, rounds: int,

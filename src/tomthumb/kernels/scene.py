@@ -100,27 +100,6 @@ def candidates(d2: Array, gate2: float) -> tuple[Array, Array]:
 
 
 @jit
-def curved(q: Array, R: Array, p: Array, D: Array, Xi: Array) -> Array:
-    """Squared distance (m, n) of observations and predictions under the rigid motion, the arc of its turn included.
-
-    A point at r that turns by an angle of variance v lies r v / 2 short of the tangent on average, r v / sqrt 2 about that:
-    3/4 (r v)^2 along the line of sight, in all.
-    """
-    m, n, d2 = q.shape[0], p.shape[0], np.empty((q.shape[0], p.shape[0]))
-    for j in range(n):
-        c00, c01, c10, c11 = _lever(p[j], Xi, p[j])
-        sag = 0.75 * Xi[2, 2] * Xi[2, 2]
-        c00 += D[j, 0, 0] + sag * p[j, 0] * p[j, 0]
-        c01 = 0.5 * (c01 + c10) + D[j, 0, 1] + sag * p[j, 0] * p[j, 1]
-        c11 += D[j, 1, 1] + sag * p[j, 1] * p[j, 1]
-        for i in range(m):
-            a, b, d = R[i, 0, 0] + c00, R[i, 0, 1] + c01, R[i, 1, 1] + c11
-            u, v = q[i, 0] - p[j, 0], q[i, 1] - p[j, 1]
-            d2[i, j] = (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)
-    return d2
-
-
-@jit
 def points_of(z: Array, polar: bool) -> tuple[Array, Array]:
     """Points (k, 2) of observations and the Jacobian (k, 2, 2) by z: as they are, or from range and bearing."""
     k = z.shape[0]

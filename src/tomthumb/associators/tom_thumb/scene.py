@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tomthumb.associators.nearest import log_odds
+from tomthumb.kernels import motion
 from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
@@ -39,8 +40,8 @@ class Window:
 class Rigid:
     """The problem in the sensor's plane: q (m, 2), R (m, 2, 2), p (n, 2), D (n, 2, 2), Xi (3, 3); base (m,), odds (n,).
 
-    prior (3, 3) is the inverse of Xi; allowed (m, n): pairings whose labels do not contradict each other, or None without
-    labels. evidence (m, n): what is added to the gains of pairings for their looks, or None.
+    prior (3, 3) is the inverse of Xi; allowed (m, n): pairings that neither labels nor the gates of looks rule out, or None where
+    nothing is. evidence (m, n): what is added to the gains of pairings for their looks, or None.
     """
 
     q: Array
@@ -97,9 +98,10 @@ def window(d2: Array, gate: float) -> Window:
 
 
 def curved_window(problem: AssociationProblem, s: Rigid, gate: float) -> Window:
-    """Every landmark within `gate` of each observation, nearest first, where the turn of the motion bends its way."""
-    d2 = kernel.curved(s.q, s.R, s.p, s.D, s.Xi)
-    d2[~np.isfinite(problem.weighed_d2)] = np.inf  # what labels and looks rule out
+    """Every landmark within `gate` of each observation, nearest first, by the best motion of each pairing: not linearised."""
+    d2 = motion.by_itself(s.q, s.R, s.p, s.D, s.Xi, s.prior, gate_of_two(gate))
+    if s.allowed is not None:
+        d2[~s.allowed] = np.inf
     return window(d2, gate)
 
 
@@ -124,7 +126,9 @@ def rigid(problem: AssociationProblem, base: Array, odds: Array, remainder: floa
     )  # fmt: skip
     if not good:
         return None
-    return Rigid(q, R, p, D, Xi, base + area, odds, prior, problem.allowed, problem.evidence)
+    ruled_out = problem.allowed is not None or problem.barred is not None
+    allowed = np.isfinite(problem.weighed_d2) if ruled_out else None
+    return Rigid(q, R, p, D, Xi, base + area, odds, prior, allowed, problem.evidence)
 
 
 def lever(p: Array) -> Array:

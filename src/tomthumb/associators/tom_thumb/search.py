@@ -37,7 +37,7 @@ from tomthumb.associators.tom_thumb.scene import (
     weighed,
     window,
 )
-from tomthumb.associators.tom_thumb.there import given_there, related, straight
+from tomthumb.associators.tom_thumb.there import given_there, one_pose, related, straight
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -240,7 +240,7 @@ class TomThumb:
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        listed = self._listed_there(problem, scene, found[0], info) if len(found) == 1 else None
+        listed = self._listed_there(problem, scene, found[0], info) if one_pose(found) else None
         if listed is not None:
             return [listed]
         p, none = mixed_marginals(found, len(scene.p))

@@ -8,6 +8,7 @@ linearising once the basin is known.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids
 
 LITTLE = 0.01  # of the least variance of the noise: errors in common below that change nothing
+
+SAME = 30.66  # chi-square, 3 degrees of freedom, 1 - 1e-6: as the gates of pairings
 
 
 def given_there(
@@ -59,6 +62,15 @@ def _left(problem: AssociationProblem, s: Rigid, some: Ids) -> tuple[Array, Arra
     T = kernel.points_of(problem.predictions.z_hat[some], bool(problem.angles))[1]
     rows = np.column_stack([2 * some, 2 * some + 1]).ravel()
     return p, _congruent(T, problem.predictions.cov[np.ix_(rows, rows)]) - B @ s.Xi @ B.T
+
+
+def one_pose(found: Sequence[Basin]) -> bool:
+    """Whether all hypotheses say that the robot is in the same place, within the gate of the best: then they are one basin."""
+    best = found[0]
+    if best.pose is None or best.M is None:
+        return False
+    gaps = [best.pose - other.pose for other in found if other.pose is not None]
+    return all(float(gap @ best.M @ gap) < SAME for gap in gaps)
 
 
 def straight(s: Rigid, basin: Basin) -> bool:
