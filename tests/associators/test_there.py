@@ -127,12 +127,14 @@ def test_no_turn_is_too_large_for_the_curved_window():
 def test_a_pairing_by_itself_is_chi_square_of_two_degrees():
     """Under the motion's own prior, and however far it turns: the share outside the 90 % gate is a tenth."""
     rng, sd = np.random.default_rng(0), np.array([0.1, 0.1, np.radians(15.0)])
+    half = np.array([[1.0, 0.0, 0.0], [0.2, 0.8, 0.0], [0.6, -0.5, 0.6]]) * sd[:, None]  # shift and turn go together
+    Xi = half @ half.T
     inside, trials, p, V = 0, 2000, np.array([[5.0, 1.0]]), np.full((1, 2, 2), 0.0)
     noise = np.tile(0.02**2 * np.eye(2), (1, 1, 1))
-    for x in rng.standard_normal((trials, 3)) * sd:
+    for x in rng.standard_normal((trials, 3)) @ half.T:
         c, s = np.cos(x[2]), np.sin(x[2])
         q = p @ np.array([[c, -s], [s, c]]).T + x[:2] + 0.02 * rng.standard_normal((1, 2))
-        inside += motion.by_itself(q, noise, p, V, np.diag(sd**2), np.diag(sd**-2), 27.6)[0, 0] < 4.605
+        inside += motion.by_itself(q, noise, p, V, Xi, 4.605)[0, 0] < 4.605
     assert abs(inside / trials - 0.9) < 0.02
 
 
@@ -180,7 +182,9 @@ def test_a_doubt_is_weighed_on_the_full_covariance():
         assert whole
         found, apart = (TomThumb(listed=x).associate(problem, np.random.default_rng(0))[0] for x in (6.0, 0.0))
         wanted = np.where(found.match >= 0, p[np.arange(6), found.match], none)
-        assert np.allclose(found.confidence, wanted, atol=0.03)  # the poses at which both are linearised differ a little
+        assert np.allclose(
+            found.confidence, wanted, atol=0.03
+        )  # the poses at which both are linearised differ a little
         differ += apart.match[3] != found.match[3] or abs(apart.confidence[3] - wanted[3]) > 0.1
     assert differ >= 2
 

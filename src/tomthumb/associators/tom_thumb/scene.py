@@ -99,7 +99,7 @@ def window(d2: Array, gate: float) -> Window:
 
 def curved_window(problem: AssociationProblem, s: Rigid, gate: float) -> Window:
     """Every landmark within `gate` of each observation, nearest first, by the best motion of each pairing: not linearised."""
-    d2 = motion.by_itself(s.q, s.R, s.p, s.D, s.Xi, s.prior, gate_of_two(gate))
+    d2 = motion.by_itself(s.q, s.R, s.p, s.D, s.Xi, gate_of_two(gate))
     if s.allowed is not None:
         d2[~s.allowed] = np.inf
     return window(d2, gate)
