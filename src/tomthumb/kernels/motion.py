@@ -99,9 +99,9 @@ def by_itself(q: Array, R: Array, points: Array, D: Array, Xi: Array, gate2: flo
     is all a gate asks, of the first motion tried that is below `gate2`.
 
     Chi-square of two degrees of freedom, however far the turn: no arc is linearised. Given the turn t the best shift is
-    known, and leaves t^2 / v + e' A e, e(t) = q - Rot(t) p - k t, A = (V + S)^-1; S is the shift's covariance given the turn, k
-    what a turn shifts on average. Tried are no turn, then Gauss-Newton in t from that between the two bearings. A pairing whose distances
-    from the robot differ by more than shift and noise allow is inf without that.
+    known, and leaves t^2 / v + e' A e, e(t) = q - Rot(t) p - k t, A = (V + S)^-1; S is the shift's covariance given the
+    turn, k what a turn shifts on average. Tried are no turn, then Gauss-Newton in t from that between the two bearings. A
+    pairing whose distances from the robot differ by more than shift and noise allow is inf without that.
     """
     m, n, d2 = q.shape[0], points.shape[0], np.full((q.shape[0], points.shape[0]), np.inf)
     v = Xi[2, 2]
