@@ -10,7 +10,7 @@ import numpy as np
 
 from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.tom_thumb import TomThumb
-from tomthumb.associators.tom_thumb.scene import base_gains, cartesian, lever, rigid, window
+from tomthumb.associators.tom_thumb.scene import base_gains, cartesian, lever, rigid
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
@@ -103,4 +103,6 @@ def test_a_pose_that_is_not_well_known_is_not_linearised():
     wide = replace(scan.predictions, pose_cov=100.0 * scan.predictions.pose_cov, cov=100.0 * scan.predictions.cov)
     for predictions, linear in ((scan.predictions, True), (wide, False)):
         problem = replace(scan, predictions=predictions).problem()
-        assert TomThumb()._may_be_listed(problem, window(problem.d2, 0.999)) == linear
+        found = TomThumb().associate(problem, np.random.default_rng(0))[0]
+        assert (found.info["proof"] == "optimal") == linear
+        assert ("poses" in found.info) != linear
