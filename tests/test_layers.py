@@ -26,6 +26,7 @@ MAY = {
     "lifecycle": BASE | {"appearance", "graves", "stillness"},
     "sensing": BASE,
     "twins": BASE | {"lifecycle", "sensing"},
+    "doubt": BASE | {"lifecycle"},
     "returns": BASE | {"branches", "graves", "lifecycle"},
     "slam": BASE
     | {
@@ -33,6 +34,7 @@ MAY = {
         "branches",
         "checks",
         "court",
+        "doubt",
         "king",
         "lifecycle",
         "returns",

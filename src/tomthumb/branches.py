@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tomthumb.doubt import Trials
 from tomthumb.graves import Graveyard
 from tomthumb.lifecycle import Ledger
 from tomthumb.protocols import Estimator
@@ -28,6 +29,7 @@ class Branch:
     ledger: Ledger
     crumbs: set[int] = field(default_factory=set)
     graves: Graveyard = field(default_factory=Graveyard)
+    trials: Trials = field(default_factory=Trials)
     log_weight: float = 0.0
     evidence: float = 0.0
     history: tuple[Any, Ids, Array, int] | None = None  # (earlier history, ids, pose, scans before): one a step, shared

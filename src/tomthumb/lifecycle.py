@@ -27,7 +27,8 @@ class LifeCycle:
     """The policy's numbers; each has its reason in docs/lifecycle.md.
 
     hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
-    `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen.
+    `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen. doubt: stones with less than
+    `hits` go back on trial where a smaller share of trials than this ends in a stone (0: never, see `doubt`).
     gate: a sighting within it is static. still: a crumb whose sightings drift outside this gate begins its trial anew (0: never
     asked). apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
@@ -45,6 +46,7 @@ class LifeCycle:
     few: int = 2
     anchors: int = 2
     patience: int = 100
+    doubt: float = 0.5
     gate: float = 0.99
     still: float = 0.99
     apart: float = 0.9999
@@ -63,7 +65,7 @@ class LifeCycle:
 
     def __post_init__(self) -> None:
         from_zero("slam", self, "hits few anchors patience trial proof chance")
-        from_zero("slam", self, "gate still apart purge in_view", 1.0)
+        from_zero("slam", self, "doubt gate still apart purge in_view", 1.0)
 
     @property
     def looks_for_drift(self) -> bool:
@@ -92,7 +94,7 @@ class Life:
     `seen` and `born`: scans of the last and the first sighting. silence: sightings expected in vain since the last one.
     returned: static sightings since it first came back from an absence; None before. place: of the last sighting, world
     point (2,) m and covariance (2, 2). apart: neighbours, and how often both were to be expected in one scan. visits: last scans
-    of earlier stays there. drift: whether it stands still, while it is a crumb.
+    of earlier stays there. drift: whether it stands still, while it is a crumb. believed: it was a stone before its trial.
     """
 
     seen: int
@@ -108,6 +110,7 @@ class Life:
     apart: dict[int, float] = field(default_factory=dict)
     visits: tuple[int, ...] = ()
     drift: Drift = field(default_factory=Drift)
+    believed: bool = False
 
     @property
     def exist(self) -> float:
@@ -209,8 +212,9 @@ def deaths(ledger: Ledger, stones: Iterable[int], crumbs: Iterable[int], scan: i
 
 
 def _faded(life: Life, scan: int, policy: LifeCycle) -> bool:
-    """A crumb seen too seldom, unless it is proven; or not seen for too long."""
-    return (life.exist < policy.purge and not _proven(life, policy)) or scan - life.seen > policy.patience
+    """A crumb seen too seldom, unless it is proven; or not seen for too long, unless it was a stone."""
+    late = scan - life.seen > policy.patience and not life.believed
+    return late or (life.exist < policy.purge and not _proven(life, policy))
 
 
 def _proven(life: Life, policy: LifeCycle) -> bool:

@@ -142,6 +142,10 @@ class Estimator(Protocol[Belief]):
         """Crumbs become stones: from now on they move the pose."""
         ...
 
+    def doubt(self, belief: Belief, ids: Ids) -> Belief:
+        """Stones become crumbs again: what they have told the pose stays, and they tell it no more."""
+        ...
+
     def forget(self, belief: Belief, ids: Ids) -> Belief: ...
 
     def merge(self, belief: Belief, keep: int, drop: int) -> Belief:

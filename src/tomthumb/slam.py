@@ -19,6 +19,7 @@ from tomthumb.appearance import Crowd, Looks, weigh, with_looks
 from tomthumb.branches import Branch, Scan, apart
 from tomthumb.checks import check_step
 from tomthumb.court import Court
+from tomthumb.doubt import put_on_trial
 from tomthumb.errors import Diverged
 from tomthumb.geometry import wrapped
 from tomthumb.kernels.gates import innovations, paired_distances
@@ -244,6 +245,7 @@ class Slam:
         if self.policy.merge and hit.any():
             self._absorb(branch, predictions, set(ids[hit].tolist()), scan)
             self._merge(branch, predictions, set(ids[hit].tolist()))
+        self._doubt(branch, ids[hit].tolist())
         branch.paired = np.where(late >= 0, late, ids)
         branch.ids = np.where(born, scan.serials, branch.paired)
 
@@ -319,6 +321,12 @@ class Slam:
         if len(ready):
             branch.belief = self.estimator.promote(branch.belief, ready)
             branch.crumbs.difference_update(ready.tolist())
+            branch.trials = branch.trials.and_ended(stood=0 if first else len(ready))
+
+    def _doubt(self, branch: Branch, hit: list[int]) -> None:
+        untried = put_on_trial(branch.ledger, branch.crumbs, hit, branch.trials, self.policy)
+        branch.belief = self.estimator.doubt(branch.belief, untried) if len(untried) else branch.belief
+        branch.crumbs.update(untried.tolist())
 
     def _bury(self, branch: Branch, predictions: Predictions) -> None:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]
@@ -327,6 +335,7 @@ class Slam:
             lifecycle.bequeath(branch.ledger, gone)
             branch.graves = branch.graves.and_buried(lifecycle.graves(branch.ledger, gone))
             branch.belief = self.estimator.forget(branch.belief, gone)
+            branch.trials = branch.trials.and_ended(faded=len(branch.crumbs.intersection(gone.tolist())))
             branch.crumbs.difference_update(gone.tolist())
         for i in gone.tolist():
             del branch.ledger[i]

@@ -115,11 +115,11 @@ class EKF:
 
     def promote(self, belief: Atlas, ids: Ids) -> Atlas:
         """See `protocols.Estimator`."""
-        for i in ids.tolist():
-            for part in belief.parts:
-                if i in part.slot:
-                    part.stone[part.slot[i]] = True
-        return belief
+        return _marked(belief, ids, True)
+
+    def doubt(self, belief: Atlas, ids: Ids) -> Atlas:
+        """See `protocols.Estimator`."""
+        return _marked(belief, ids, False)
 
     def forget(self, belief: Atlas, ids: Ids) -> Atlas:
         """See `protocols.Estimator`."""
@@ -182,3 +182,12 @@ def _check(e: EKF) -> None:
     if len(e.calibrate) != len(e.calibrate_std):
         raise TomThumbError(f"calibrate names {len(e.calibrate)} errors and calibrate_std {len(e.calibrate_std)}")
     check(e.motion, e.calibrate, e.calibrate_std)
+
+
+def _marked(belief: Atlas, ids: Ids, stone: bool) -> Atlas:
+    """Stones or crumbs, in every part that holds them."""
+    for i in ids.tolist():
+        for part in belief.parts:
+            if i in part.slot:
+                part.stone[part.slot[i]] = stone
+    return belief

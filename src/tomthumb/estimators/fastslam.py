@@ -115,7 +115,7 @@ class FastSLAM:
             pages.empty(M),
         )  # fmt: skip
         if self.version == 1:
-            self._draw(belief, np.zeros((M, 3)), _in_body(belief), rng)
+            self._draw(belief, np.zeros((M, 3)), mixture.in_body(belief.pose, belief.cov), rng)
         return belief
 
     def fork(self, belief: Particles) -> Particles:
@@ -130,7 +130,7 @@ class FastSLAM:
         delta, cov = self.motion.increment(control)
         particles.move(belief.pose, belief.cov, np.asarray(delta, float), np.asarray(cov, float))
         if self.version == 1:
-            self._draw(belief, np.zeros_like(belief.pose), _in_body(belief), rng)
+            self._draw(belief, np.zeros_like(belief.pose), mixture.in_body(belief.pose, belief.cov), rng)
         belief.view = None
         return belief
 
@@ -174,7 +174,7 @@ class FastSLAM:
     def expect(self, belief: Particles) -> Sequence[Predictions]:
         """See `protocols.Estimator`: one for each particle, or for the heaviest alone (`quick`)."""
         v = self._look(belief)
-        cov = _in_body(belief)
+        cov = mixture.in_body(belief.pose, belief.cov)
         ids, stone = belief.maps.ids[v.slots], belief.maps.stone[v.slots]
         asked = range(1 if self.quick else len(belief.pose))
         return [self._predictions(v, p, cov[p], ids, stone, belief) for p in asked]
@@ -252,7 +252,7 @@ class FastSLAM:
     def _propose(self, b: Particles, z: Array, R: Array, slots: Ids, firm: Mask) -> tuple[Array, Array]:
         """Each pose's Gaussian after the scan, in its own frame; weights and statistics are brought up to date."""
         shift = np.zeros((len(b.pose), 3))
-        cov = _in_body(b)
+        cov = mixture.in_body(b.pose, b.cov)
         if not firm.any():
             b.stats = {"nis": 0.0, "dof": 0, "iterations": 0}
             return shift, cov
@@ -291,7 +291,7 @@ class FastSLAM:
         if not len(rows):
             return b
         if b.cov.any():
-            self._draw(b, np.zeros_like(b.pose), _in_body(b), rng)
+            self._draw(b, np.zeros_like(b.pose), mixture.in_body(b.pose, b.cov), rng)
         points, _, G = self.sensor.locate(ORIGIN, observations.z[rows])
         noise = G @ observations.R[rows] @ G.transpose(0, 2, 1)
         serials = named[:, rows].max(0).tolist()
@@ -317,6 +317,11 @@ class FastSLAM:
     def promote(self, belief: Particles, ids: Ids) -> Particles:
         """See `protocols.Estimator`."""
         belief.maps.stone[[belief.maps.slot[i] for i in ids.tolist()]] = True
+        return belief
+
+    def doubt(self, belief: Particles, ids: Ids) -> Particles:
+        """See `protocols.Estimator`."""
+        belief.maps.stone[[belief.maps.slot[i] for i in ids.tolist()]] = False
         return belief
 
     def forget(self, belief: Particles, ids: Ids) -> Particles:
@@ -373,16 +378,6 @@ def _slots(m: Pages, named: Ids) -> Ids:
     ids, places = np.unique(named, return_inverse=True)
     slots: Ids = np.array([m.slot.get(i, -1) for i in ids.tolist()], np.int64)[places].reshape(named.shape)
     return slots
-
-
-def _in_body(b: Particles) -> Array:
-    """Covariances (M, 3, 3) of the poses in their own frames."""
-    B = np.zeros((len(b.pose), 3, 3))
-    c, s = np.cos(b.pose[:, 2]), np.sin(b.pose[:, 2])
-    B[:, 0, 0] = B[:, 1, 1] = c
-    B[:, 0, 1], B[:, 1, 0], B[:, 2, 2] = s, -s, 1.0
-    cov: Array = B @ b.cov @ B.transpose(0, 2, 1)
-    return cov
 
 
 def _expect(sensor: Sensor, points: Array) -> tuple[Array, Array]:

@@ -35,3 +35,13 @@ def landmarks(w: Array, m: Pages) -> tuple[Ids, Array, Array, Mask]:
     own = np.einsum("pn,pni->ni", weight, np.where(there[..., None], cov, 0.0))
     covs = np.einsum("pn,pni,pnj->nij", weight, away, away) + own[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     return m.ids[slots], centre, covs, m.stone[slots]
+
+
+def in_body(pose: Array, cov: Array) -> Array:
+    """Covariances (M, 3, 3) of the poses (M, 3) in their own frames."""
+    B = np.zeros((len(pose), 3, 3))
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    B[:, 0, 0] = B[:, 1, 1] = c
+    B[:, 0, 1], B[:, 1, 0], B[:, 2, 2] = s, -s, 1.0
+    turned: Array = B @ cov @ B.transpose(0, 2, 1)
+    return turned

@@ -120,6 +120,15 @@ def promotes_crumbs_to_stones(build: Build) -> None:
     assert stones == [0, 1], f"stones {stones}"
 
 
+def doubts_stones(build: Build) -> None:
+    """`doubt` makes crumbs of the landmarks named and of no others."""
+    bench = Bench.mapped(build)
+    bench.belief = bench.estimator.doubt(bench.belief, IDS[:1])
+    found = bench.estimate()
+    crumbs = found.ids[~found.stone].tolist()
+    assert crumbs == IDS[:1].tolist(), f"crumbs {crumbs}"
+
+
 def expects_what_it_mapped(build: Build) -> None:
     """`expect` gives ids, z_hat (n, 2) near the scan and cov (2n, 2n), symmetric, positive semi-definite."""
     bench = Bench.mapped(build)
@@ -253,6 +262,7 @@ ESTIMATOR_CHECKS: tuple[Callable[[Build], None], ...] = (
     moves_as_the_control_says,
     founds_landmarks_as_crumbs,
     promotes_crumbs_to_stones,
+    doubts_stones,
     expects_what_it_mapped,
     expects_nothing_of_an_empty_map,
     learns_from_stones,

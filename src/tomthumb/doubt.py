@@ -1,0 +1,53 @@
+"""Landmarks that were believed before their trial go back on it, where most of what is tried turns out not to stand.
+
+The first scan of a map is believed at once, and two sightings are enough while few stones are in view: a pose needs something
+to hang on. Among people some of that has walked away before it could be told from the rest, and nobody comes back to the place
+until the loop closes, where it is just what others are mistaken for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tomthumb.lifecycle import Ledger, LifeCycle
+from tomthumb.types import Ids
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """How the trials of a map's crumbs ended so far: in a stone, or in nothing."""
+
+    stood: int = 0
+    faded: int = 0
+
+    def and_ended(self, stood: int = 0, faded: int = 0) -> Trials:
+        """So many more."""
+        return replace(self, stood=self.stood + stood, faded=self.faded + faded)
+
+    @property
+    def share(self) -> float:
+        """The next one's chance to end in a stone, by Laplace's rule of succession."""
+        return (self.stood + 1.0) / (self.stood + self.faded + 2.0)
+
+
+def put_on_trial(ledger: Ledger, crumbs: set[int], hit: Iterable[int], trials: Trials, policy: LifeCycle) -> Ids:
+    """Stones with less than `policy.hits` static sightings, once others in view have as many and so hold the pose: their lives
+    say from now on that they were believed, and they are to be crumbs again.
+
+
+    `hit`: landmarks seen in this scan. What was given up and came back has been tried before.
+    """
+    if policy.reference or trials.share >= policy.doubt:
+        return np.empty(0, np.int64)
+    firm = [i for i in hit if i in ledger and i not in crumbs and ledger[i].static >= policy.hits]
+    if len(firm) < policy.anchors:
+        return np.empty(0, np.int64)
+    untried = [
+        i for i, life in ledger.items() if i not in crumbs and life.static < policy.hits and life.returned is None
+    ]
+    for i in untried:
+        ledger[i].believed = True
+    return np.array(untried, np.int64)

@@ -1,0 +1,69 @@
+"""What was believed before its trial: when it goes back on trial, and what comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tomthumb.doubt import Trials, put_on_trial
+from tomthumb.lifecycle import Life, LifeCycle, deaths
+from tomthumb.metrics import evaluate
+from tomthumb.runner import run
+from tomthumb.scenarios.cloister import cloister
+
+POLICY = LifeCycle()
+MOSTLY_FADE = Trials(stood=3, faded=9)
+
+
+def ledger() -> dict[int, Life]:
+    """Two landmarks tried in full, one seen once, one crumb, and one that came back from a grave."""
+    tried = {i: Life(9, hits=6.0, chances=6.0, static=6) for i in (0, 1)}
+    return tried | {2: Life(1), 3: Life(9), 4: Life(9, returned=1)}
+
+
+def test_share_of_trials_is_laplaces() -> None:
+    assert Trials().share == 0.5
+    assert Trials().and_ended(stood=3).and_ended(faded=1).share == pytest.approx(4 / 6)
+
+
+def test_untried_go_back_where_most_trials_end_in_nothing() -> None:
+    lives = ledger()
+    assert put_on_trial(lives, {3}, [0, 1], MOSTLY_FADE, POLICY).tolist() == [2]
+    assert [i for i, life in lives.items() if life.believed] == [2]
+
+
+@pytest.mark.parametrize(
+    ("hit", "trials", "policy"),
+    [
+        ([0, 1], Trials(stood=9, faded=3), POLICY),  # what is new mostly stands
+        ([0, 2], MOSTLY_FADE, POLICY),  # one tried landmark does not hold a pose
+        ([0, 1], MOSTLY_FADE, replace(POLICY, doubt=0.0)),
+        ([0, 1], MOSTLY_FADE, POLICY.faithful()),
+    ],
+)
+def test_untried_stay_stones_else(hit: list[int], trials: Trials, policy: LifeCycle) -> None:
+    lives = ledger()
+    assert not len(put_on_trial(lives, {3}, hit, trials, policy))
+    assert not any(life.believed for life in lives.values())
+
+
+def test_out_of_sight_it_waits_for_its_trial_longer_than_a_crumb() -> None:
+    believed, crumb = Life(0, believed=True), Life(0)
+    late = POLICY.patience + 1
+    assert deaths({7: believed, 8: crumb}, [], [7, 8], late, POLICY).tolist() == [8]
+    believed.chances = 9.0  # expected in vain
+    assert deaths({7: believed}, [], [7], late, POLICY).tolist() == [7]
+
+
+def test_people_of_the_first_scan_do_not_spoil_the_loop() -> None:
+    """Seeds in which first-scan people were taken for landmarks when the loop closed."""
+    rates = {}
+    for doubt in (0.0, POLICY.doubt):
+        settings = {"slam": {"doubt": doubt}}
+        runs = [(cloister(np.random.default_rng(seed), people=30), seed) for seed in (1118, 1197)]
+        found = [evaluate(run(s, associator="stt", seed=seed, settings=settings), s) for s, seed in runs]
+        rates[doubt] = np.mean([e["match_rate"] for e in found])
+    assert rates[0.0] < 0.97
+    assert rates[POLICY.doubt] > 0.985
