@@ -183,6 +183,25 @@ def test_a_ratio_opens_the_gate_for_those_who_weigh_it():
     assert np.isinf(twins(False, True).weighed_d2[:, ::2]).all()
 
 
+def test_soft_classes_do_not_open_the_gate_of_signatures():
+    """`signature=gate` is a gate for everybody; what classes weigh says nothing of it."""
+    rng = np.random.default_rng(4)
+    crowd = replace(crowd_of(rng.normal(0.5, 0.2, 500)), classes={0: 5, 1: 5})
+    predictions = with_looks(expected(1), [Looks({0: 3}, Moments(50.0, 0.5, 0.5))], crowd)
+    seen = scan(labels=[0, 0], signature=[0.5, 3.0])
+    for way, gated in (("gate", True), ("ratio", False), ("off", True)):
+        found = weigh(seen, predictions, crowd, Weight(way, confusion=0.1))
+        assert found.gated == gated
+        problem = replace(twins(True, True), gated=found.gated)
+        assert np.isinf(problem.weighed_d2[:, ::2]).all() == gated
+    found = weigh(seen, predictions, crowd, Weight("gate", confusion=0.1))
+    assert found.barred.ravel().tolist() == [False, True]
+    for name in ("stt", "map"):
+        asked = replace(twins(True, True), evidence=np.full((4, 8), 1.0), gated=True)
+        match = registry.build("associator", name).associate(asked, np.random.default_rng(0))[0].match
+        assert match.tolist() == [1, 3, 5, 7]
+
+
 def test_the_teacher_knows_better_than_any_gate():
     problem = twins(False, True)
     truth = np.array([7, 8, 9, 10, -1, -1, -1, -1])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tomthumb.doubt import Trials, put_on_trial
+from tomthumb.doubt import Trials, put_on_trial, untried_of
 from tomthumb.lifecycle import Life, LifeCycle, deaths
 from tomthumb.metrics import evaluate
 from tomthumb.runner import run
@@ -15,6 +15,9 @@ from tomthumb.scenarios.cloister import cloister
 
 POLICY = LifeCycle()
 MOSTLY_FADE = Trials(stood=3, faded=9)
+
+
+EVERY = frozenset(range(6))  # the last is none of the ledger's
 
 
 def ledger() -> dict[int, Life]:
@@ -30,7 +33,8 @@ def test_share_of_trials_is_laplaces() -> None:
 
 def test_untried_go_back_where_most_trials_end_in_nothing() -> None:
     lives = ledger()
-    assert put_on_trial(lives, {3}, [0, 1], MOSTLY_FADE, POLICY).tolist() == [2]
+    assert untried_of(lives, EVERY, POLICY) == {2, 3}
+    assert put_on_trial(lives, {3}, EVERY, [0, 1], MOSTLY_FADE, POLICY).tolist() == [2]
     assert [i for i, life in lives.items() if life.believed] == [2]
 
 
@@ -45,7 +49,7 @@ def test_untried_go_back_where_most_trials_end_in_nothing() -> None:
 )
 def test_untried_stay_stones_else(hit: list[int], trials: Trials, policy: LifeCycle) -> None:
     lives = ledger()
-    assert not len(put_on_trial(lives, {3}, hit, trials, policy))
+    assert not len(put_on_trial(lives, {3}, EVERY, hit, trials, policy))
     assert not any(life.believed for life in lives.values())
 
 

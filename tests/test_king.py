@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import tomthumb
 from tomthumb.branches import told as branches_told
+from tomthumb.constellation import Fit
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import inverse, to_world
-from tomthumb.king import Exile, King, Small, small, way_home
+from tomthumb.king import Exile, King, Small, _expected, small, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.lookout import Keeping
 from tomthumb.metrics.evaluation import evaluate
@@ -289,6 +291,29 @@ def test_a_place_near_the_believed_one_is_another_one_if_its_pairs_are(seed):
     assert not way.expected
     stays = asked_at(TRUE + np.array([0.02, 0.0, 0.0]), 0.3, TRUE, seed)
     assert stays is None or stays.expected
+
+
+def place_asked(gap, beside=()):
+    """A fit that turns the new map by 90 deg, for a robot that the new map knows to 1 m along its x, and to 1 cm along y."""
+    match = np.array([4, 5, 6, -1])
+    fit = Fit(np.array([3.0, 2.0, np.pi / 2]), 1e-6 * np.eye(3), match, 3, 9.0)
+    part = Estimate(np.zeros(3), np.diag([1.0, 1e-4, 1e-4]), np.arange(4), np.zeros((4, 2)), None, np.ones(4, bool))
+    guess = Guess(np.array([3.0, 2.0, np.pi / 2]) + np.append(gap, 0.0), 1e-6 * np.eye(3), 0.9)
+    local = SimpleNamespace(pose=np.zeros(3))
+    return fit, SimpleNamespace(local=local, here=Small(part, np.ones(4, bool)), guess=guess, beside=list(beside))
+
+
+def test_how_far_a_place_may_lie_off_is_by_the_old_maps_axes():
+    assert _expected(*place_asked([0.0, 1.5]))  # the new map's x is the old one's y
+    assert not _expected(*place_asked([1.5, 0.0]))
+
+
+def test_a_place_is_the_believed_one_by_most_of_its_pairs():
+    elsewhere = [1.5, 0.0]
+    fit, _ = place_asked(elsewhere)
+    two, one = (replace(fit, match=np.array(m)) for m in ([4, 5, 9, -1], [4, 8, 9, -1]))
+    assert _expected(*place_asked(elsewhere, [two]))
+    assert not _expected(*place_asked(elsewhere, [one]))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -164,12 +164,14 @@ def with_looks(predictions: Predictions, every: Iterable[Looks], crowd: Crowd) -
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What the looks of a scan say: `ratio (m, n)` log likelihood ratios or None, `barred (m, n)` or None. `soft`:
-    classes are in the ratio, and exclude nothing by themselves.
+    classes are in the ratio, and exclude nothing by themselves. `gated`: signatures are not in it, so that what is barred is so
+    for those who weigh as well.
     """
 
     ratio: Array | None = None
     barred: Mask | None = None
     soft: bool = False
+    gated: bool = False
 
 
 def weigh(seen: Observations, predictions: Predictions, crowd: Crowd, weight: Weight) -> Evidence:
@@ -182,7 +184,7 @@ def weigh(seen: Observations, predictions: Predictions, crowd: Crowd, weight: We
     if not weight.confusion or seen.labels is None or predictions.labels is None:
         return Evidence(ratio, barred)
     by_class = class_ratio(seen.labels, predictions.labels, crowd, weight.confusion)
-    return Evidence(by_class if ratio is None else ratio + by_class, barred, soft=True)
+    return Evidence(by_class if ratio is None else ratio + by_class, barred, soft=True, gated=ratio is None)
 
 
 def _by_signature(

@@ -22,6 +22,7 @@ HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
 class Branch:
     """One history of associations: its belief, what its landmarks have lived through, and how likely it is.
 
+    trials: how those of its crumbs ended; untried: what was made a stone before its own.
     `log_weight` is relative to the best branch, `evidence` the sum of all its hypotheses' log weights.
     """
 
@@ -30,6 +31,7 @@ class Branch:
     crumbs: set[int] = field(default_factory=set)
     graves: Graveyard = field(default_factory=Graveyard)
     trials: Trials = field(default_factory=Trials)
+    untried: frozenset[int] = frozenset()
     log_weight: float = 0.0
     evidence: float = 0.0
     history: tuple[Any, Ids, Array, int] | None = None  # (earlier history, ids, pose, scans before): one a step, shared

@@ -33,21 +33,24 @@ class Trials:
         return (self.stood + 1.0) / (self.stood + self.faded + 2.0)
 
 
-def put_on_trial(ledger: Ledger, crumbs: set[int], hit: Iterable[int], trials: Trials, policy: LifeCycle) -> Ids:
-    """Stones with less than `policy.hits` static sightings, once others in view have as many and so hold the pose: their lives
-    say from now on that they were believed, and they are to be crumbs again.
+def untried_of(ledger: Ledger, some: Iterable[int], policy: LifeCycle) -> frozenset[int]:
+    """Those with less than `policy.hits` static sightings. What was given up and came back has been tried before."""
+    lives = ((i, ledger[i]) for i in some if i in ledger)
+    return frozenset(i for i, life in lives if life.static < policy.hits and life.returned is None)
 
 
-    `hit`: landmarks seen in this scan. What was given up and came back has been tried before.
+def put_on_trial(
+    ledger: Ledger, crumbs: set[int], untried: Iterable[int], hit: Iterable[int], trials: Trials, policy: LifeCycle
+) -> Ids:
+    """Those of the stones `untried` that still are, once others in view have been tried and so hold the pose: their lives say
+    from now on that they were believed, and they are to be crumbs again. `hit`: landmarks seen in this scan.
     """
-    if policy.reference or trials.share >= policy.doubt:
+    if not untried or policy.reference or trials.share >= policy.doubt:
         return np.empty(0, np.int64)
     firm = [i for i in hit if i in ledger and i not in crumbs and ledger[i].static >= policy.hits]
     if len(firm) < policy.anchors:
         return np.empty(0, np.int64)
-    untried = [
-        i for i, life in ledger.items() if i not in crumbs and life.static < policy.hits and life.returned is None
-    ]
-    for i in untried:
+    doubted = sorted(untried_of(ledger, untried, policy) - crumbs)
+    for i in doubted:
         ledger[i].believed = True
-    return np.array(untried, np.int64)
+    return np.array(doubted, np.int64)

@@ -271,9 +271,11 @@ def risen(life: Life, there: Sequence[Grave], by_chance: float, policy: LifeCycl
 
 
 def inherit(ledger: Ledger, keep: int, drop: int) -> None:
-    """Two landmarks become one: the survivor has the life of both, seen whenever either was.
+    """Two landmarks become one: the survivor has the life of both, as if seen whenever either was.
 
-    Neighbours of the one are the other's as well. `drift` is that of the survivor, for what is united stands still.
+    What was expected in vain of the one while the other was seen is not known any more: `returned` is the greater of both,
+    `chances` are the survivor's and the other's sightings, and the end of the earlier stay counts as a visit. Neighbours of the
+    one are the other's as well. `drift` is that of the survivor, for what is united stands still.
     """
     lost, life = ledger.pop(drop), ledger[keep]
     life.visits = tuple(sorted({*life.visits, *lost.visits, min(life.seen, lost.seen)}))

@@ -19,7 +19,7 @@ from tomthumb.appearance import Crowd, Looks, weigh, with_looks
 from tomthumb.branches import Branch, Scan, apart
 from tomthumb.checks import check_step
 from tomthumb.court import Court
-from tomthumb.doubt import put_on_trial
+from tomthumb.doubt import put_on_trial, untried_of
 from tomthumb.errors import Diverged
 from tomthumb.geometry import wrapped
 from tomthumb.kernels.gates import innovations, paired_distances
@@ -217,7 +217,7 @@ class Slam:
         looks = weigh(seen, predictions, self.crowd, self.weight)
         return AssociationProblem(
             seen.z, seen.R, nu, predictions, density, serials, self.sensor.angles,
-            None if looks.soft else seen.labels, seen.signature, self.t, looks.ratio, looks.barred,
+            None if looks.soft else seen.labels, seen.signature, self.t, looks.ratio, looks.barred, looks.gated,
         )  # fmt: skip
 
     # --- naming, update, life cycle ---------------------------------------------------------------------------------
@@ -322,11 +322,13 @@ class Slam:
             branch.belief = self.estimator.promote(branch.belief, ready)
             branch.crumbs.difference_update(ready.tolist())
             branch.trials = branch.trials.and_ended(stood=0 if first else len(ready))
+            branch.untried |= untried_of(branch.ledger, ready.tolist(), self.policy)
 
     def _doubt(self, branch: Branch, hit: list[int]) -> None:
-        untried = put_on_trial(branch.ledger, branch.crumbs, hit, branch.trials, self.policy)
-        branch.belief = self.estimator.doubt(branch.belief, untried) if len(untried) else branch.belief
-        branch.crumbs.update(untried.tolist())
+        gone = put_on_trial(branch.ledger, branch.crumbs, branch.untried, hit, branch.trials, self.policy)
+        if len(gone):
+            branch.belief, branch.untried = self.estimator.doubt(branch.belief, gone), frozenset()
+            branch.crumbs.update(gone.tolist())
 
     def _bury(self, branch: Branch, predictions: Predictions) -> None:
         expected = [i for i in predictions.ids.tolist() if i not in branch.crumbs]

@@ -154,8 +154,9 @@ class AssociationProblem:
     each observation, per unit of z; serials (m,) running numbers of the observations; angles: components that wrap.
 
     What observations look like: `labels` that contradict each other exclude a pairing for everybody. `barred (m, n)` are
-    the pairings outside the gates of signatures. `evidence (m, n)` weighs them instead: the log ratio of how likely the
-    looks of i are for landmark j, over how likely they are for anything; whoever adds it to gains takes `weighed_d2`.
+    the pairings outside the gates of signatures. `evidence (m, n)` weighs looks instead: the log ratio of how likely those
+    of i are for landmark j, over how likely they are for anything; whoever adds it to gains takes `weighed_d2`, which keeps
+    the gates where the evidence is of classes alone (`gated`).
     """
 
     z: Array
@@ -170,6 +171,7 @@ class AssociationProblem:
     t: float = 0.0
     evidence: Array | None = None
     barred: Mask | None = None
+    gated: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -200,7 +202,7 @@ class AssociationProblem:
     @cached_property
     def weighed_d2(self) -> Array:
         """As `d2`, but nothing that `evidence` weighs is excluded: for those who add it to their gains."""
-        return self.d2 if self.evidence is None else self._distances
+        return self.d2 if self.evidence is None or self.gated else self._distances
 
     @cached_property
     def _distances(self) -> Array:

@@ -12,7 +12,7 @@ from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.tom_thumb import TomThumb
 from tomthumb.associators.tom_thumb.basins import Basin
 from tomthumb.associators.tom_thumb.scene import LOOSE, Rigid, Window, base_gains, curved_window, lever, rigid
-from tomthumb.associators.tom_thumb.there import given_there, straight
+from tomthumb.associators.tom_thumb.there import given_there, straight, unshared
 from tomthumb.associators.tom_thumb.there import related as related_there
 from tomthumb.kernels import motion, posterior
 from tomthumb.types import AssociationProblem, Predictions
@@ -35,6 +35,10 @@ def related(rng, heading, motion):
     return problem, Rigid(q, R, p, D, Xi, np.ones(6), np.ones(6), np.linalg.inv(Xi)), E
 
 
+def given_at(problem, s, pose, some):
+    return given_there(s, pose, some, unshared(problem, s, some))
+
+
 def squared_distance(problem, s, E):
     """The least of the nonlinear sum of squares over the motion and the points' own errors, and the motion there."""
     half, own = np.linalg.cholesky(np.linalg.inv(s.Xi)).T, np.linalg.cholesky(np.linalg.inv(E)).T
@@ -51,7 +55,7 @@ def squared_distance(problem, s, E):
 def test_at_no_motion_it_is_the_problem_itself():
     problem, _, _ = wide(np.random.default_rng(3), 12)
     s = rigid(problem, *base_gains(problem, None))
-    nu, C, R, _ = given_there(problem, s, np.zeros(3), np.arange(len(s.p)))
+    nu, C, R, _ = given_at(problem, s, np.zeros(3), np.arange(len(s.p)))
     assert np.allclose(nu, problem.innovation, atol=1e-12)
     assert np.allclose(C, problem.predictions.cov, atol=1e-12)
     assert np.array_equal(R, s.R)
@@ -62,8 +66,8 @@ def test_at_the_pose_it_is_the_nonlinear_posterior():
     for seed in range(5):
         problem, s, E = related(np.random.default_rng(seed), 0.5, moved)
         wanted, pose = squared_distance(problem, s, E)
-        there = posterior.value_of(match, *given_there(problem, s, pose, match))[1]
-        here = posterior.value_of(match, *given_there(problem, s, np.zeros(3), match))[1]
+        there = posterior.value_of(match, *given_at(problem, s, pose, match))[1]
+        here = posterior.value_of(match, *given_at(problem, s, np.zeros(3), match))[1]
         assert abs(there / wanted - 1.0) < 0.02
         assert here > 10.0 * wanted
 
@@ -73,7 +77,7 @@ def test_what_points_err_together_does_not_count_once_for_each():
     problem, s, E = related(np.random.default_rng(1), 0.1, np.zeros(3))
     wanted, pose = squared_distance(problem, s, E)
     match = np.arange(6)
-    together = posterior.value_of(match, *given_there(problem, s, pose, match))[1]
+    together = posterior.value_of(match, *given_at(problem, s, pose, match))[1]
     apart, B = np.kron(np.eye(6), np.ones((2, 2))) * E, lever(s.p).reshape(-1, 3)
     alone = AssociationProblem(
         problem.z,
@@ -84,7 +88,7 @@ def test_what_points_err_together_does_not_count_once_for_each():
         match,
     )
     assert abs(together - wanted) < 0.02 * wanted
-    assert abs(posterior.value_of(match, *given_there(alone, s, pose, match))[1] - wanted) > 0.05 * wanted
+    assert abs(posterior.value_of(match, *given_at(alone, s, pose, match))[1] - wanted) > 0.05 * wanted
 
 
 def turned_scan(rng, m, degrees):
@@ -177,7 +181,7 @@ def test_a_doubt_is_weighed_on_the_full_covariance():
         problem = replace(problem, z=z, innovation=z[:, None] - problem.predictions.z_hat[None])
         s = rigid(problem, *base_gains(problem, None), LOOSE)
         every = np.arange(0, 42, 6), np.tile(np.arange(6), 6)
-        given = given_there(problem, s, moved, np.arange(6))
+        given = given_at(problem, s, moved, np.arange(6))
         whole, p, none, *_ = posterior.listed(*given, *every, 27.6, 12.0, 1_000_000, 10_000)
         assert whole
         found, apart = (TomThumb(listed=x).associate(problem, np.random.default_rng(0))[0] for x in (6.0, 0.0))
@@ -194,9 +198,9 @@ def test_only_what_errs_together_is_looked_at_again():
     B = lever(s.p).reshape(-1, 3)
     own = np.kron(np.eye(6), np.ones((2, 2))) * E
     alone = replace(problem, predictions=replace(problem.predictions, cov=B @ s.Xi @ B.T + own))
-    assert related_there(problem, s, np.arange(6))
-    assert not related_there(alone, s, np.arange(6))
-    assert not related_there(problem, s, np.arange(1))
+    assert related_there(s, unshared(problem, s, np.arange(6)))
+    assert not related_there(s, unshared(alone, s, np.arange(6)))
+    assert not related_there(s, unshared(problem, s, np.arange(1)))
 
 
 def test_a_pose_is_straight_where_its_turn_bends_less_than_the_noise():

@@ -37,7 +37,7 @@ from tomthumb.associators.tom_thumb.scene import (
     weighed,
     window,
 )
-from tomthumb.associators.tom_thumb.there import given_there, one_pose, related, straight
+from tomthumb.associators.tom_thumb.there import given_there, one_pose, related, straight, unshared
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -256,9 +256,10 @@ class TomThumb:
         if not self._lists or len(near.columns) > SHORT or basin.pose is None or not straight(scene, basin):
             return None
         some, columns = np.unique(near.columns, return_inverse=True)
-        if not related(problem, scene, some):
+        left = unshared(problem, scene, some)
+        if not related(scene, left):
             return None
-        given = given_there(problem, scene, basin.pose, some)
+        given = given_there(scene, basin.pose, some, left)
         whole, few, none, _best, value, nodes = posterior.listed(
             *given, near.start, columns, gate_of_two(self.gates[1]), self.listed, SOON, MANY
         )

@@ -23,18 +23,16 @@ LITTLE = 0.01  # of the least variance of the noise: errors in common below that
 SAME = 30.66  # chi-square, 3 degrees of freedom, 1 - 1e-6: as the gates of pairings
 
 
-def given_there(
-    problem: AssociationProblem, s: Rigid, pose: Array, some: Ids
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+def given_there(s: Rigid, pose: Array, some: Ids, left: Array) -> tuple[Array, Array, Array, Array]:
     """Innovation (m, k, 2), covariance (2k, 2k), R (m, 2, 2) and base gains (m, k) in the sensor's plane, linear at `pose`, of
-    the predictions `some` (k,).
+    the predictions `some` (k,) with the remainder `left` (2k, 2k).
 
     q = Rot(theta) (p + e) + t, e what the rigid motion xi = (t, theta) leaves of the predictions' errors, E = C - B Xi B';
     so q - q(pose) + B pose has the covariance B Xi B' + Rot E Rot' + R, B = [I | J Rot p] at the pose.
     """
     c, sine = math.cos(pose[2]), math.sin(pose[2])
-    turn, (p, left) = np.array([[c, -sine], [sine, c]]), _left(problem, s, some)
-    turned = p @ turn.T
+    turn = np.array([[c, -sine], [sine, c]])
+    turned = s.p[some] @ turn.T
     there = lever(turned)
     C = _congruent(np.broadcast_to(turn, there[:, :, :2].shape), left) + _flat(there) @ s.Xi @ _flat(there).T
     expected = turned + pose[:2] - there @ pose
@@ -42,26 +40,23 @@ def given_there(
     return s.q[:, None] - expected[None], C, s.R, weighed(s.base[:, None] + s.odds[None, some], evidence)
 
 
-def related(problem: AssociationProblem, s: Rigid, some: Ids) -> bool:
-    """Whether two of the predictions `some` err together beyond the rigid motion, by more than `LITTLE` of the least noise."""
-    if len(some) < 2:
-        return False
-    left = np.abs(_left(problem, s, some)[1])
-    for j in range(len(some)):
-        left[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = 0.0
+def related(s: Rigid, left: Array) -> bool:
+    """Whether two predictions with the remainder `left` (2k, 2k) err together by more than `LITTLE` of the least noise."""
+    between = np.abs(left)
+    for j in range(0, len(left), 2):
+        between[j : j + 2, j : j + 2] = 0.0
     R = s.R
     half, gap = 0.5 * (R[:, 0, 0] + R[:, 1, 1]), 0.5 * (R[:, 0, 0] - R[:, 1, 1])
     least = (half - np.hypot(gap, R[:, 0, 1])).min()
-    return bool(left.max() > LITTLE * least)
+    return bool(between.max(initial=0.0) > LITTLE * least)
 
 
-def _left(problem: AssociationProblem, s: Rigid, some: Ids) -> tuple[Array, Array]:
-    """Points p (k, 2) and E = C - B Xi B' (2k, 2k)."""
-    p = s.p[some]
-    B = _flat(lever(p))
+def unshared(problem: AssociationProblem, s: Rigid, some: Ids) -> Array:
+    """What the rigid motion leaves of the covariance of the predictions `some` (k,): E = C - B Xi B' (2k, 2k)."""
+    B = _flat(lever(s.p[some]))
     T = kernel.points_of(problem.predictions.z_hat[some], bool(problem.angles))[1]
     rows = np.column_stack([2 * some, 2 * some + 1]).ravel()
-    return p, _congruent(T, problem.predictions.cov[np.ix_(rows, rows)]) - B @ s.Xi @ B.T
+    return _congruent(T, problem.predictions.cov[np.ix_(rows, rows)]) - B @ s.Xi @ B.T
 
 
 def one_pose(found: Sequence[Basin]) -> bool:
