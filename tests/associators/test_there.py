@@ -116,6 +116,14 @@ def test_a_large_turn_is_found_where_the_linear_posterior_is_sure_of_something_e
     assert linear < 45
 
 
+def test_under_a_bent_pose_nothing_may_be_near_at_all():
+    problem, _ = turned_scan(np.random.default_rng(0), 4, 30.0)
+    far = problem.z + 1000.0
+    away = replace(problem, z=far, innovation=far[:, None] - problem.predictions.z_hat[None])
+    found = TomThumb().associate(away, np.random.default_rng(0))[0]
+    assert (found.match == -1).all()
+
+
 def test_no_turn_is_too_large_for_the_curved_window():
     """Three and four sigma of the heading; a window by the second moment of the arc lost all pairings beyond 2.8 at once."""
     for degrees in (-60.0, 45.0, 60.0):

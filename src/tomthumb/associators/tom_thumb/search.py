@@ -256,8 +256,8 @@ class TomThumb:
         if not self._lists or len(near.columns) > SHORT or basin.pose is None or not straight(scene, basin):
             return None
         some, columns = np.unique(near.columns, return_inverse=True)
-        left = unshared(problem, scene, some)
-        if not related(scene, left):
+        left = unshared(problem, scene, some) if len(some) > 1 else None
+        if left is None or not related(scene, left):
             return None
         given = given_there(scene, basin.pose, some, left)
         whole, few, none, _best, value, nodes = posterior.listed(
