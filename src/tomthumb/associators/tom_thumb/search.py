@@ -132,7 +132,8 @@ class TomThumb:
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
         listed = self._listed(problem, given, near) if bend < STRAIGHT and self._may_be_listed(near) else None
         if listed is not None:
-            return [listed]
+            doubt = self._doubts(listed)
+            return [listed, *self._brothers(self._within(given, near, rng)[0], listed)] if doubt else [listed]
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
@@ -171,7 +172,12 @@ class TomThumb:
     @property
     def _lists(self) -> bool:
         """Whether sums over all hypotheses are what is wanted."""
-        return self.decide == "marginal" and self.brothers == 1 and self.listed > 0.0
+        return self.decide == "marginal" and self.listed > 0.0
+
+    def _doubts(self, decided: Association) -> bool:
+        """Whether a decision by sums leaves room for brothers within `ambiguity` nats."""
+        chance = decided.confidence
+        return self.brothers > 1 and chance is not None and bool(chance.min() < 1.0 - np.exp(-self.ambiguity))
 
     def _may_be_listed(self, near: Window) -> bool:
         """Few pairings to choose from."""
@@ -242,7 +248,7 @@ class TomThumb:
         found = distinct(found, self.reach)
         listed = self._listed_there(problem, scene, found[0], info) if one_pose(found) else None
         if listed is not None:
-            return [listed]
+            return [listed, *self._brothers(found, listed)] if self._doubts(listed) else [listed]
         p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
@@ -373,11 +379,12 @@ class TomThumb:
         else:
             match, chance = most_probable(p, none, self.least)
         first = Association(match, best.value, {**info, "objective": best.value, "basins": len(found)}, chance)
-        return [first, *self._brothers(found[1:], best.value, match)] if len(found) > 1 else [first]
+        return [first, *self._brothers(found[1:], first)] if len(found) > 1 else [first]
 
-    def _brothers(self, others: list[Basin], best: float, match: Ids) -> list[Association]:
+    def _brothers(self, others: list[Basin], first: Association) -> list[Association]:
         """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
-        near = [b for b in others if b.value > best - self.ambiguity and not np.array_equal(b.match, match)]
+        least = first.log_weight - self.ambiguity
+        near = [b for b in others if b.value > least and not np.array_equal(b.match, first.match)]
         return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
 
 
