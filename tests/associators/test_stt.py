@@ -224,3 +224,26 @@ def test_a_vote_is_held_against_what_was_found_not_against_a_flattering_vote():
     assert values[1] > values[0] + 15.0  # its vote was 60 nats behind, and it is entered
     assert (matches[1] == truth).mean() > 0.8
     assert values[2] == -np.inf  # its vote is more than 15 nats behind what was found
+
+
+def between(gaps):
+    """Observations between two landmarks each, 0.1 m from the one and `gaps` (m,) m from the other; noise 0.1 m."""
+    z = np.array([[3.0, 0.0], [0.0, 4.0], [-3.0, 1.0]])
+    points = np.concatenate([z + np.array([0.1, 0.0]), z - np.column_stack([gaps, np.zeros(3)])])
+    predictions = Predictions(np.arange(6), points, 1e-4 * np.eye(12))
+    nu = innovations(z, points, np.zeros(2, bool))
+    return AssociationProblem(z, np.tile(0.01 * np.eye(2), (3, 1, 1)), nu, predictions, np.full(3, 0.05), np.arange(3))
+
+
+def test_brothers_leave_the_decision_by_sums_as_it_is():
+    """A scan that is listed is decided the same with brothers; they come where it leaves room for one within `ambiguity` nats."""
+    for gaps, wanted in (([0.15, 0.4, 0.4], 2), ([0.4, 0.4, 0.4], 1)):
+        problem = between(np.array(gaps))
+        (alone,) = TomThumb().associate(problem, np.random.default_rng(0))
+        first, *brothers = TomThumb(brothers=8).associate(problem, np.random.default_rng(0))
+        assert first.match.tolist() == alone.match.tolist() == [0, 1, 2]
+        assert np.allclose(first.confidence, alone.confidence)
+        assert 1 + len(brothers) == wanted
+        for brother in brothers:
+            assert brother.match.tolist() == [3, 1, 2]
+            assert first.log_weight - 3.0 < brother.log_weight < first.log_weight
