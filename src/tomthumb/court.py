@@ -144,9 +144,10 @@ class Court:
 def recalled(slam: Slam, found: Found) -> Branch:
     """The family where a brother has found it to be, with his map of the time that he was out instead of its own."""
     home, walker = slam.branches[0], found.walker
-    gone = {i for i, life in home.ledger.items() if life.born >= walker.since.scan} | home.crumbs
+    young = {i for i, life in home.ledger.items() if life.born >= walker.since.scan}
+    gone = young | _never_believed(home)
     home.belief = slam.estimator.forget(home.belief, np.array(sorted(gone), np.int64))
-    home.crumbs = set()
+    home.crumbs -= gone
     for i in gone:
         del home.ledger[i]
     here = spliced(home, walker, slam.index)
@@ -157,16 +158,23 @@ def recalled(slam: Slam, found: Found) -> Branch:
 
 
 def flee(estimator: Estimator[Any], branch: Branch, index: int, rng: Rng) -> tuple[Exile, Branch]:
-    """The old map put aside without its crumbs, and a new branch that begins at the pose that is believed."""
-    crumbs = np.array(sorted(branch.crumbs), np.int64)
+    """The old map put aside without its crumbs, and a new branch that begins at the pose that is believed.
+
+    Crumbs that were stones stay, and wait for their trial until the robot is back.
+    """
+    crumbs = np.array(sorted(_never_believed(branch)), np.int64)
     branch.belief = estimator.forget(branch.belief, crumbs)
     for i in crumbs.tolist():
         del branch.ledger[i]
         branch.events = (branch.events, "died", i, -1, index)
-    branch.crumbs = set()
+    branch.crumbs -= set(crumbs.tolist())
     old = estimator.estimate(branch.belief)
     fresh = Branch(estimator.init(old.pose, CERTAIN, rng), {}, history=branch.history, events=branch.events)
     return left_behind(branch, old), fresh
+
+
+def _never_believed(branch: Branch) -> set[int]:
+    return {i for i in branch.crumbs if not branch.ledger[i].believed}
 
 
 def go_home(

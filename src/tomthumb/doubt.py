@@ -7,7 +7,7 @@ until the loop closes, where it is just what others are mistaken for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from tomthumb.types import Ids
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """How the trials of a map's crumbs ended so far: in a stone, or in nothing."""
+    """How the trials of a map's crumbs ended so far: in a stone, which counts once for each, or in nothing."""
 
     stood: int = 0
     faded: int = 0
@@ -40,17 +40,19 @@ def untried_of(ledger: Ledger, some: Iterable[int], policy: LifeCycle) -> frozen
 
 
 def put_on_trial(
-    ledger: Ledger, crumbs: set[int], untried: Iterable[int], hit: Iterable[int], trials: Trials, policy: LifeCycle
+    ledger: Ledger, crumbs: set[int], untried: Iterable[int], hit: Sequence[int], trials: Trials, policy: LifeCycle
 ) -> Ids:
-    """Those of the stones `untried` that still are, once others in view have been tried and so hold the pose: their lives say
-    from now on that they were believed, and they are to be crumbs again. `hit`: landmarks seen in this scan.
+    """Those of the stones `untried` that still are, when a scan shows `policy.anchors` stones that have been tried and so hold
+    the pose: their lives say from now on that they were believed, and they are to be crumbs again.
+
+    `hit`: landmarks named in this scan. What is among them has just moved the pose, and is not doubted yet.
     """
     if not untried or policy.reference or trials.share >= policy.doubt:
         return np.empty(0, np.int64)
     firm = [i for i in hit if i in ledger and i not in crumbs and ledger[i].static >= policy.hits]
-    if len(firm) < policy.anchors:
+    if len(firm) < max(policy.anchors, 1):
         return np.empty(0, np.int64)
-    doubted = sorted(untried_of(ledger, untried, policy) - crumbs)
+    doubted = sorted(untried_of(ledger, untried, policy) - crumbs - set(hit))
     for i in doubted:
         ledger[i].believed = True
     return np.array(doubted, np.int64)

@@ -33,7 +33,8 @@ def put_right(scout: Scout, slam: Slam, found: Found) -> Branch:
         his = np.isin(ids, list(mine))
         names[k] = _once(np.where(his, renamed(renamed(ids, found.named), into), names[k]), his)
         claimed[k] = his
-    lives = copy_ledger({i: life for i, life in home.ledger.items() if life.born <= since and i not in home.crumbs})
+    old = {i: life for i, life in home.ledger.items() if life.born <= since}
+    lives = copy_ledger({i: life for i, life in old.items() if i not in home.crumbs or life.believed})
     for drop in found.same:
         if drop in lives and into[drop] in lives:
             inherit(lives, into[drop], drop)

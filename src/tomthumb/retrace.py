@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Scan
+from tomthumb.doubt import untried_of
 from tomthumb.errors import Diverged
 from tomthumb.geometry import wrapped
 from tomthumb.graves import Graveyard
@@ -78,6 +79,7 @@ def retraced(
     paired = np.where(np.isin(names[-1], list(ledger)), names[-1], -1)
     return replace(
         best, belief=belief, ledger=ledger, crumbs=set(), graves=Graveyard(), events=events,
+        untried=untried_of(ledger, ledger, slam.policy),
         history=_rewritten(best.history, names[:-1], poses[:-1]), ids=names[-1], paired=paired,
     )  # fmt: skip
 

@@ -321,13 +321,13 @@ class Slam:
         if len(ready):
             branch.belief = self.estimator.promote(branch.belief, ready)
             branch.crumbs.difference_update(ready.tolist())
-            branch.trials = branch.trials.and_ended(stood=0 if first else len(ready))
+            branch.trials = branch.trials.and_ended(0 if first else sum(not branch.ledger[i].believed for i in ready))
             branch.untried |= untried_of(branch.ledger, ready.tolist(), self.policy)
 
     def _doubt(self, branch: Branch, hit: list[int]) -> None:
         gone = put_on_trial(branch.ledger, branch.crumbs, branch.untried, hit, branch.trials, self.policy)
         if len(gone):
-            branch.belief, branch.untried = self.estimator.doubt(branch.belief, gone), frozenset()
+            branch.belief = self.estimator.doubt(branch.belief, gone)
             branch.crumbs.update(gone.tolist())
 
     def _bury(self, branch: Branch, predictions: Predictions) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from associators.test_stt import wide
@@ -220,3 +221,21 @@ def test_a_pose_is_straight_where_its_turn_bends_less_than_the_noise():
         M = np.diag([1e4, 1e4, 1.0 / variance])
         near = Window(np.zeros(7, np.int64), np.empty(0, np.int64))
         assert straight(s, Basin(np.full(6, -1), 0.0, np.empty(0), near, np.zeros(3), M)) == wanted
+
+
+def test_brothers_of_a_scan_that_is_listed_anew_are_weighed_by_the_same_sum():
+    """One observation in doubt: with it and without it are two hypotheses at one pose, on the full covariance both."""
+    moved, met = np.array([0.4, -0.2, 0.6]), 0
+    for seed in range(10):
+        problem, _, _ = related(np.random.default_rng(seed), 0.5, moved)
+        z = problem.z.copy()
+        z[3] += 0.018 * np.array([np.cos(seed), np.sin(seed)])
+        problem = replace(problem, z=z, innovation=z[:, None] - problem.predictions.z_hat[None])
+        s = rigid(problem, *base_gains(problem, None), LOOSE)
+        given = given_at(problem, s, moved, np.arange(6))
+        first, *brothers = TomThumb(brothers=8, ambiguity=5.0).associate(problem, np.random.default_rng(0))
+        for brother in brothers:
+            gap = posterior.value_of(first.match, *given)[0] - posterior.value_of(brother.match, *given)[0]
+            assert first.log_weight - brother.log_weight == pytest.approx(max(gap, 0.0), abs=0.2)
+        met += len(brothers) > 0
+    assert met > 3

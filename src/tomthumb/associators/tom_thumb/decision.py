@@ -9,7 +9,7 @@ from tomthumb.associators.tom_thumb.basins import Basin
 from tomthumb.associators.tom_thumb.scene import Rigid
 from tomthumb.kernels import marginals, motion
 from tomthumb.protocols import Rng
-from tomthumb.types import Array, Ids
+from tomthumb.types import Array, Association, Ids
 
 ROUNDS = 50  # of belief propagation, at most
 WIDER = 1.5  # poses are drawn from each basin's Gaussian, so many times wider: a weight must not explode in the tails
@@ -78,3 +78,13 @@ def chances(match: Ids, p: Array, none: Array) -> Array:
     """Probability (m,) of each decision of a match."""
     chance: Array = np.where(match >= 0, p[np.arange(len(match)), np.maximum(match, 0)], none)
     return chance
+
+
+def beside(first: Association, others: list[Basin], ambiguity: float, most: int) -> list[Association]:
+    """Brothers of a decision, `most` of them within `ambiguity` nats, to be carried on until later scans decide.
+
+    The decision need not be the best hypothesis: where that is among the others, it comes after it.
+    """
+    best = first.log_weight
+    near = [b for b in others if b.value > best - ambiguity and not np.array_equal(b.match, first.match)]
+    return [Association(b.match, min(b.value, best), {"brother": k + 1}) for k, b in enumerate(near[:most])]

@@ -16,15 +16,16 @@ hypotheses met: that is what maximises the expected number of right decisions, a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from tomthumb.associators.tom_thumb.basins import POLISHED, Basin, Budget, anchored, at_pose, distinct
-from tomthumb.associators.tom_thumb.decision import chances, mixed_marginals, most_probable, sampled_marginals
+from tomthumb.associators.tom_thumb.decision import beside, chances, mixed_marginals, most_probable, sampled_marginals
 from tomthumb.associators.tom_thumb.scene import (
     LOOSE,
     REMAINDER,
@@ -37,7 +38,7 @@ from tomthumb.associators.tom_thumb.scene import (
     weighed,
     window,
 )
-from tomthumb.associators.tom_thumb.there import given_there, one_pose, related, straight, unshared
+from tomthumb.associators.tom_thumb.there import bend_of, given_there, one_pose, related, straight, unshared
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -117,7 +118,7 @@ class TomThumb:
         own, odds = base_gains(problem, prior)
         near = window(problem.weighed_d2, self.gates[1])
         cov = np.ascontiguousarray(problem.predictions.cov)
-        bend = _bend(problem)
+        bend = bend_of(problem)
         if self.decide == "marginal" and m > 2 and bend >= self.bent:
             turned = self._over_bent_poses(problem, own, odds, rng)
             if turned is not None:
@@ -132,8 +133,8 @@ class TomThumb:
         given = (problem.innovation, cov, problem.R, weighed(own[:, None] + odds, problem.evidence))
         listed = self._listed(problem, given, near) if bend < STRAIGHT and self._may_be_listed(near) else None
         if listed is not None:
-            doubt = self._doubts(listed)
-            return [listed, *self._brothers(self._within(given, near, rng)[0], listed)] if doubt else [listed]
+            others = self._within(given, near, rng)[0] if self._doubts(listed) else []
+            return [listed, *beside(listed, others, self.ambiguity, self.brothers - 1)]
         if self.decide == "map":
             return self._mode(problem, given, near, own, odds, rng)
         found, info = self._within(given, near, rng) if not hard or self._is_small(near, CERTAIN) else ([], NOTHING_YET)
@@ -176,8 +177,8 @@ class TomThumb:
 
     def _doubts(self, decided: Association) -> bool:
         """Whether a decision by sums leaves room for brothers within `ambiguity` nats."""
-        chance = decided.confidence
-        return self.brothers > 1 and chance is not None and bool(chance.min() < 1.0 - np.exp(-self.ambiguity))
+        chance, most = decided.confidence, 1.0 / (1.0 + math.exp(-min(self.ambiguity, self.listed)))
+        return self.brothers > 1 and chance is not None and bool(chance.min() <= most)
 
     def _may_be_listed(self, near: Window) -> bool:
         """Few pairings to choose from."""
@@ -246,17 +247,17 @@ class TomThumb:
         if not found:
             found, info = anchored(scene, near, gate2, gate3, self._budget())
         found = distinct(found, self.reach)
-        listed = self._listed_there(problem, scene, found[0], info) if one_pose(found) else None
+        listed = self._listed_there(problem, scene, found[0], info, rng) if one_pose(found) else None
         if listed is not None:
-            return [listed, *self._brothers(found, listed)] if self._doubts(listed) else [listed]
+            return listed
         p, none = mixed_marginals(found, len(scene.p))
         if self.samples and (len(found) > 1 or not self._is_settled(found[0], p, none, self.sure)):
             p, none = sampled_marginals(found, scene, max(8, self.samples // len(found)), gate2, rng)
         return self._decided(found, info, p, none)
 
     def _listed_there(
-        self, problem: AssociationProblem, scene: Rigid, basin: Basin, info: dict[str, Any]
-    ) -> Association | None:  # fmt: skip
+        self, problem: AssociationProblem, scene: Rigid, basin: Basin, info: dict[str, Any], rng: Rng
+    ) -> Sequence[Association] | None:  # fmt: skip
         """The decision by the sums over all hypotheses of the only basin, on the full covariance; None where they are too many."""
         near = basin.window
         if not self._lists or len(near.columns) > SHORT or basin.pose is None or not straight(scene, basin):
@@ -269,10 +270,15 @@ class TomThumb:
         whole, few, none, _best, value, nodes = posterior.listed(
             *given, near.start, columns, gate_of_two(self.gates[1]), self.listed, SOON, MANY
         )
+        if not whole:
+            return None
         p = np.zeros(problem.shape)
         p[:, some] = few
         spent = {**info, "basins": 1, "nodes": info.get("nodes", 0) + int(nodes)}  # the proof is that of no other basin
-        return self._summed(p, none, value, spent) if whole else None
+        first = self._summed(p, none, value, spent)
+        others = self._within(given, Window(near.start, columns), rng)[0] if self._doubts(first) else []
+        named = [replace(b, match=np.where(b.match >= 0, some[b.match], -1)) for b in others]
+        return [first, *beside(first, named, self.ambiguity, self.brothers - 1)]
 
     def _budget(self) -> Budget:
         return Budget(self.anchors, self.basins, self.poses, self.reach)
@@ -379,22 +385,7 @@ class TomThumb:
         else:
             match, chance = most_probable(p, none, self.least)
         first = Association(match, best.value, {**info, "objective": best.value, "basins": len(found)}, chance)
-        return [first, *self._brothers(found[1:], first)] if len(found) > 1 else [first]
-
-    def _brothers(self, others: list[Basin], first: Association) -> list[Association]:
-        """Other hypotheses that are nearly as good, to be carried on until later scans decide."""
-        least = first.log_weight - self.ambiguity
-        near = [b for b in others if b.value > least and not np.array_equal(b.match, first.match)]
-        return [Association(b.match, b.value, {"brother": k + 1}) for k, b in enumerate(near[: self.brothers - 1])]
-
-
-def _bend(problem: AssociationProblem) -> float:
-    """What linearising the pose leaves out, over the noise; nan, which passes no test, where the pose is not told."""
-    given = problem.predictions
-    if given.pose_cov is None:
-        return np.nan
-    shape = problem.z, problem.R, given.z_hat, given.cov
-    return float(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)))
+        return [first, *beside(first, found[1:], self.ambiguity, self.brothers - 1)]
 
 
 def _left_out(match: Ids, value: float, given: Given, near: Window) -> Basin:

@@ -75,6 +75,15 @@ def straight(s: Rigid, basin: Basin) -> bool:
     return max(posterior.bend(q[0], q[1], R, turn) for q, R in zip(s.q, s.R, strict=True)) < 1.0
 
 
+def bend_of(problem: AssociationProblem) -> float:
+    """What linearising the pose leaves out, over the noise; nan, which passes no test, where the pose is not told."""
+    given = problem.predictions
+    if given.pose_cov is None:
+        return np.nan
+    shape = problem.z, problem.R, given.z_hat, given.cov
+    return float(posterior.bent(*shape, given.pose_cov[2, 2], bool(problem.angles)))
+
+
 def _flat(B: Array) -> Array:
     return np.ascontiguousarray(B.reshape(-1, 3))
 
