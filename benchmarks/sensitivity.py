@@ -32,7 +32,7 @@ def name_of(parameter: Mapping[str, Any]) -> str:
 
 def label(value: Any) -> str:
     """A value as a method's label."""
-    return "/".join(f"{v:g}" for v in value) if isinstance(value, list) else f"{value:g}"
+    return "/".join(f"{v:.9g}" for v in value) if isinstance(value, list) else f"{value:g}"
 
 
 def grid(plan: Mapping[str, Any], parameter: Mapping[str, Any]) -> dict[str, Any]:
