@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tomthumb.branches import told
+from tomthumb.court import flee
 from tomthumb.doubt import Trials, put_on_trial, untried_of
 from tomthumb.lifecycle import Life, LifeCycle, deaths
 from tomthumb.metrics import evaluate
@@ -94,6 +95,24 @@ def test_among_people_posts_of_the_first_scan_wait_and_are_stones_again() -> Non
     stood, faded = trials[-1]
     assert stood <= len(branch.ledger) + len(died) - len(first)
     assert 0 < faded <= len(died)
+
+
+def test_who_waits_for_a_trial_stays_with_a_map_that_is_put_aside() -> None:
+    scenario = cloister(np.random.default_rng(3), people=30)
+    slam = prepare(scenario, associator="oracle", seed=3)
+    for step in list(scenario.steps)[:60]:
+        slam.step(step.t, step.control, step.observations)
+    (branch,) = slam.branches
+    waiting = {i for i in branch.crumbs if branch.ledger[i].believed}
+    others = branch.crumbs - waiting
+    assert waiting
+    assert others
+    away, fresh = flee(slam.estimator, branch, slam.index, np.random.default_rng(0))
+    assert away.home.crumbs == waiting
+    assert not others & away.home.ledger.keys()
+    found = slam.estimator.estimate(away.home.belief)
+    assert set(found.ids[~found.stone].tolist()) == waiting
+    assert not fresh.ledger
 
 
 def test_where_nobody_walks_nobody_is_doubted() -> None:
