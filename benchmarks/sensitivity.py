@@ -97,7 +97,7 @@ def draw(parameter: Mapping[str, Any], found: Curve, file: Path) -> None:
     top.legend(fontsize=7)
     below.set_ylabel("association, us")
     below.set_ylim(bottom=0)
-    below.set_xticks(x, [label(v) for v in parameter["values"]], fontsize=8)
+    below.set_xticks(x, [label(v).replace("/", "\n") for v in parameter["values"]], fontsize=8)
     below.set_xlabel(name_of(parameter))
     figure.tight_layout()
     figure.savefig(file, metadata={"Date": None})
