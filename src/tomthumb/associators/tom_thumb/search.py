@@ -116,13 +116,12 @@ class TomThumb:
         # all pairings of a scan say the same, where the robot is: together they may count as one, `clip` nats at most
         prior = self.lessons.prior(problem.predictions.ids, problem.t) / m if self.memory else None
         own, odds = base_gains(problem, prior)
-        near = window(problem.weighed_d2, self.gates[1])
-        cov = np.ascontiguousarray(problem.predictions.cov)
         bend = bend_of(problem)
         if self.decide == "marginal" and m > 2 and bend >= self.bent:
             turned = self._over_bent_poses(problem, own, odds, rng)
             if turned is not None:
                 return turned
+        near, cov = window(problem.weighed_d2, self.gates[1]), np.ascontiguousarray(problem.predictions.cov)
         if self._may_be_quick(problem, near):
             clear, match, chance, value = unambiguous(
                 problem.innovation, cov, problem.R, own, odds, near.start, near.columns, self.quick
