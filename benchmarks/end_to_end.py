@@ -1,7 +1,7 @@
 """Whole runs: `end_to_end.toml`, every associator in every cell, and STT against the best of the others.
 
-    python benchmarks/end_to_end.py --out out/end_to_end [--workers 2] [--seeds 1000..1049] [--only people clutter]
-        [--write docs/end_to_end.md]
+    python benchmarks/end_to_end.py --out out/end_to_end [--workers 2] [--seeds 1000..1049] [--write docs/end_to_end.md]
+    python benchmarks/end_to_end.py --out out/end_to_end --only people clutter
 
 Match rates in percent; STT's differences to the associator that is best in the cell (chosen on the same worlds, so this
 favours the others) and to JCBB at the gate that is best there, with 95 % bootstrap intervals by run. Bold where a Wilcoxon
@@ -62,11 +62,14 @@ def versus_table(rows: Sequence[Row]) -> str:
 def main() -> None:
     """Make the tables."""
     cli = parser(__doc__, "bench/end_to_end", workers=2)
-    cli.add_argument("--only", nargs="*", help="labels of scenarios in the grid")
-    args = cli.parse_args()
     grid = tomllib.loads((HOME / "end_to_end.toml").read_text("utf-8"))
+    labels = [cell["label"] for cell in grid["scenario"]]
+    cli.add_argument("--only", nargs="+", choices=labels, metavar="LABEL", help=f"of scenarios: {', '.join(labels)}")
+    args = cli.parse_args()
+    if args.only and args.write:
+        cli.error("--write replaces the whole table: not with --only")
     grid["seeds"] = args.seeds or grid["seeds"]
-    grid["scenario"] = [cell for cell in grid["scenario"] if args.only is None or cell["label"] in args.only]
+    grid["scenario"] = [cell for cell in grid["scenario"] if cell["label"] in (args.only or labels)]
     rows = run(grid, HOME, args.out, args.workers)
     text = f"{match_table(rows)}\n\n{versus_table(rows)}"
     print(text)

@@ -36,6 +36,15 @@ def related(rng, heading, motion):
     return problem, Rigid(q, R, p, D, Xi, np.ones(6), np.ones(6), np.linalg.inv(Xi)), E
 
 
+def with_one_off(seed, moved):
+    """Six points that err together, one of them seen 18 mm from where it is, at a noise of 3."""
+    problem, _, _ = related(np.random.default_rng(seed), 0.5, moved)
+    z = problem.z.copy()
+    z[3] += 0.018 * np.array([np.cos(seed), np.sin(seed)])
+    problem = replace(problem, z=z, innovation=z[:, None] - problem.predictions.z_hat[None])
+    return problem, rigid(problem, *base_gains(problem, None), LOOSE)
+
+
 def given_at(problem, s, pose, some):
     return given_there(s, pose, some, unshared(problem, s, some))
 
@@ -184,11 +193,7 @@ def test_a_doubt_is_weighed_on_the_full_covariance():
     """One observation 9 sigma off. What all points err in common explains none of it; held independent they explain some."""
     moved, differ = np.array([0.4, -0.2, 0.6]), 0
     for seed in range(10):
-        problem, _, _ = related(np.random.default_rng(seed), 0.5, moved)
-        z = problem.z.copy()
-        z[3] += 0.018 * np.array([np.cos(seed), np.sin(seed)])
-        problem = replace(problem, z=z, innovation=z[:, None] - problem.predictions.z_hat[None])
-        s = rigid(problem, *base_gains(problem, None), LOOSE)
+        problem, s = with_one_off(seed, moved)
         every = np.arange(0, 42, 6), np.tile(np.arange(6), 6)
         given = given_at(problem, s, moved, np.arange(6))
         whole, p, none, *_ = posterior.listed(*given, *every, 27.6, 12.0, 1_000_000, 10_000)
@@ -227,11 +232,7 @@ def test_brothers_of_a_scan_that_is_listed_anew_are_weighed_by_the_same_sum():
     """One observation in doubt: with it and without it are two hypotheses at one pose, on the full covariance both."""
     moved, met = np.array([0.4, -0.2, 0.6]), 0
     for seed in range(10):
-        problem, _, _ = related(np.random.default_rng(seed), 0.5, moved)
-        z = problem.z.copy()
-        z[3] += 0.018 * np.array([np.cos(seed), np.sin(seed)])
-        problem = replace(problem, z=z, innovation=z[:, None] - problem.predictions.z_hat[None])
-        s = rigid(problem, *base_gains(problem, None), LOOSE)
+        problem, s = with_one_off(seed, moved)
         given = given_at(problem, s, moved, np.arange(6))
         first, *brothers = TomThumb(brothers=8, ambiguity=5.0).associate(problem, np.random.default_rng(0))
         for brother in brothers:

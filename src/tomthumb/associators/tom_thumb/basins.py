@@ -14,9 +14,7 @@ from tomthumb.kernels.grid import fill_grid
 from tomthumb.types import Array, Ids, Mask
 
 POLISHED = 4  # basins, best first, whose assignment is made optimal
-BEHIND = (
-    15.0  # nats behind the best L at which a vote is not refined; at twice that behind the best vote, not counted out
-)
+BEHIND = 15.0  # nats behind the best L at which a vote is not refined; twice that behind the best vote, not counted out
 NO_LABELS: Mask = np.empty((0, 0), np.bool_)
 
 
