@@ -38,7 +38,7 @@ from tomthumb.associators.tom_thumb.scene import (
     weighed,
     window,
 )
-from tomthumb.associators.tom_thumb.there import bend_of, given_there, one_pose, related, straight, unshared
+from tomthumb.associators.tom_thumb.there import STRAIGHT, bend_of, given_there, one_pose, related, straight, unshared
 from tomthumb.errors import from_zero
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
@@ -53,7 +53,6 @@ CERTAIN = 6  # observations up to which the certificate comes first in a hard sc
 FEW = 8.0  # candidates an observation, on average, up to which there is any hope for it
 LONG, LATER = 100, 30_000  # pairings in the window up to which all hypotheses may be listed, and nodes spent on that
 SHORT, SOON = 64, 2000  # the same where landmarks err together even given the pose: nodes are dearer there
-STRAIGHT = 1.0  # what linearising may leave out, over the noise, for linear sums to be believed
 MANY = 256  # hypotheses that may be listed then
 POOL = 8  # hypotheses that the certificate remembers
 NOTHING_YET: dict[str, Any] = {"proof": "truncated"}

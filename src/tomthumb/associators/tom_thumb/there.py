@@ -19,7 +19,7 @@ from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids
 
 LITTLE = 0.01  # of the least variance of the noise: errors in common below that change nothing
-
+STRAIGHT = 1.0  # what linearising may leave out, over the noise, for linear sums to be believed
 SAME = 30.66  # chi-square, 3 degrees of freedom, 1 - 1e-6: as the gates of pairings
 
 
@@ -72,7 +72,7 @@ def straight(s: Rigid, basin: Basin) -> bool:
     """Whether the pose of a basin is known so well that linearising there leaves out less than the noise (`posterior.bend`)."""
     assert basin.M is not None
     turn = float(np.linalg.inv(basin.M)[2, 2])
-    return max(posterior.bend(q[0], q[1], R, turn) for q, R in zip(s.q, s.R, strict=True)) < 1.0
+    return max(posterior.bend(q[0], q[1], R, turn) for q, R in zip(s.q, s.R, strict=True)) < STRAIGHT
 
 
 def bend_of(problem: AssociationProblem) -> float:
