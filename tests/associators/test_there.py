@@ -12,10 +12,19 @@ from associators.test_stt import wide
 from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.tom_thumb import TomThumb
 from tomthumb.associators.tom_thumb.basins import Basin
-from tomthumb.associators.tom_thumb.scene import LOOSE, Rigid, Window, base_gains, curved_window, lever, rigid
+from tomthumb.associators.tom_thumb.scene import (
+    LOOSE,
+    NO_LABELS,
+    Rigid,
+    Window,
+    base_gains,
+    curved_window,
+    lever,
+    rigid,
+)
 from tomthumb.associators.tom_thumb.there import given_there, straight, unshared
 from tomthumb.associators.tom_thumb.there import related as related_there
-from tomthumb.kernels import motion, posterior
+from tomthumb.kernels import arcs, posterior
 from tomthumb.types import AssociationProblem, Predictions
 
 
@@ -156,8 +165,37 @@ def test_a_pairing_by_itself_is_chi_square_of_two_degrees():
     for x in rng.standard_normal((trials, 3)) @ half.T:
         c, s = np.cos(x[2]), np.sin(x[2])
         q = p @ np.array([[c, -s], [s, c]]).T + x[:2] + 0.02 * rng.standard_normal((1, 2))
-        inside += motion.by_itself(q, noise, p, V, Xi, 4.605)[0, 0] < 4.605
+        inside += len(arcs.by_itself(q, noise, p, V, Xi, 4.605, NO_LABELS)[1])
     assert abs(inside / trials - 0.9) < 0.02
+
+
+def least_of_all_turns(q, p, V, Xi):
+    """The squared distance of a pairing by itself, over a fine grid of turns, the best shift of each known."""
+    turns = np.linspace(-np.pi, np.pi, 20001)
+    k, v = Xi[:2, 2] / Xi[2, 2], Xi[2, 2]
+    A = np.linalg.inv(V + Xi[:2, :2] - np.outer(k, k) * v)
+    c, s = np.cos(turns), np.sin(turns)
+    e = q - np.column_stack([c * p[0] - s * p[1], s * p[0] + c * p[1]]) - turns[:, None] * k
+    return float((turns**2 / v + ((e @ A) * e).sum(1)).min())
+
+
+def test_what_no_motion_brings_within_the_gate_is_all_that_is_left_out_untried():
+    """Shift and turn go together here; what a first look leaves out has no turn within the gate, and it leaves out a lot."""
+    rng, gate2, out, beyond = np.random.default_rng(2), 9.0, 0, 0
+    for _ in range(400):
+        half = rng.standard_normal((3, 3)) * np.array([0.3, 0.3, rng.uniform(0.02, 0.6)])[:, None]
+        Xi, V = half @ half.T, np.diag(rng.uniform(0.001, 0.5, 2)) ** 2
+        q, p = rng.uniform(-4.0, 4.0, (2, 2))
+        v, k = Xi[2, 2], Xi[:2, 2] / Xi[2, 2]
+        W = V + Xi[:2, :2] - np.outer(k, k) * v
+        turn = (np.arctan2(q[1], q[0]) - np.arctan2(p[1], p[0]) + np.pi) % (2.0 * np.pi) - np.pi
+        least = least_of_all_turns(q, p, V, Xi)
+        left_out = arcs._beyond(np.hypot(*q), np.hypot(*p), turn, (W[0, 0], W[0, 1], W[1, 1]), *k, v, gate2)
+        assert not (left_out and least < gate2)
+        listed = arcs.by_itself(q[None], V[None], p[None], np.zeros((1, 2, 2)), Xi, gate2, NO_LABELS)[1]
+        assert not (len(listed) and least > gate2 + 1e-3)
+        out, beyond = out + left_out, beyond + (least > gate2)
+    assert out > 0.5 * beyond
 
 
 def test_what_looks_bar_is_barred_over_the_poses_too():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from associators.brute import random_problem, tabulate
-from tomthumb.associators.tom_thumb.scene import base_table, window
+from tomthumb.associators.tom_thumb.scene import base_gains, base_table, curved_window, rigid, window
 from tomthumb.kernels import flights, listing, posterior
 from tomthumb.kernels.grid import fill_grid
 
@@ -47,7 +47,7 @@ def test_it_is_the_sum_over_all_hypotheses(angles):
             assert np.allclose(p[:, j], weights @ (table.matches == j), atol=1e-9)
 
 
-@pytest.mark.parametrize(("kind", "size"), [("mid", 16), ("mid+sp", 12), ("dense+sp", 12)])
+@pytest.mark.parametrize(("kind", "size"), [("mid", 16), ("mid", 24), ("mid+sp", 12), ("dense+sp", 12)])
 def test_a_larger_scan_has_the_hypotheses_that_the_full_covariance_gives(kind, size):
     """From `listing.LARGE` observations on their order and the bound change on the way; nothing may be lost by it."""
     assert size >= listing.LARGE
@@ -75,6 +75,47 @@ def test_a_larger_scan_has_the_hypotheses_that_the_full_covariance_gives(kind, s
         assert np.abs(none - share).max() < np.exp(-slack) * 10
         assert np.allclose(p.sum(1) + none, 1.0)
     assert several >= 3
+
+
+@pytest.mark.parametrize("level", [3, 5, 7])
+def test_nothing_can_add_more_than_a_look_over_the_others_says(level):
+    """All ways on from a few pairings, most of them not the true ones, against the bound; it stays below that at perfect fits."""
+    tighter = 0
+    for k, scan in enumerate(scans("mid+sp", 9, 12, 6)):
+        problem, rng = scan.problem(), np.random.default_rng(k)
+        near, given = window(problem.d2, WIDE), arrays(problem)
+        nu, C, R, base = given[:4]
+        m, n, lists = *base.shape, [near.columns[a:b] for a, b in zip(near.start, near.start[1:], strict=False)]
+        _, told, V, worth = listing._forms(nu, C, R, base, listing._levers(*given[4:]), near.start, near.columns)
+        form = listing._formed(nu, listing._levers(*given[4:]), V, worth, near.start, near.columns)
+        order = rng.permutation(m)
+        rest, known = listing._levels(order, near.start, worth)[:2]
+        used, match = np.zeros(n, bool), np.full(m, -1)
+        for s, i in enumerate(order[:level]):
+            free = [c for c in range(near.start[i], near.start[i + 1]) if not used[near.columns[c]]]
+            known[s + 1] = known[s]
+            if free and rng.random() < 0.8:
+                c = rng.choice(free)
+                known[s + 1], match[i], used[near.columns[c]] = known[s] + told[c], near.columns[c], True
+        here = posterior.value_of(match, nu, C, R, base)[0]
+        perfect, ideal = rest[0, level], np.zeros(len(near.columns) + 1)
+        ahead = listing._looked_over(rest, ideal, order, level, known, form, near.start, near.columns, used)
+        best = max(posterior.value_of(way, nu, C, R, base)[0] for way in ways_on(match, order[level:], lists))
+        assert best - here <= ahead + 1e-9
+        tighter += ahead < perfect - 1.0
+    assert tighter >= 6
+
+
+def ways_on(match, left, lists):
+    """All matches that agree with `match` but for the observations `left`."""
+    if len(left) == 0:
+        yield match
+        return
+    for j in (-1, *lists[left[0]]):
+        if j < 0 or j not in match:
+            way = match.copy()
+            way[left[0]] = j
+            yield from ways_on(way, left[1:], lists)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 4.5, 5.4, 6.0])
@@ -168,3 +209,42 @@ def test_anchors_that_the_pose_explains_are_brought_forward():
     assert turn.tolist() == [0, 3, 1, 2]
     flights._bring_forward(turn, 2, anchors, pose, q, W, gain, points, worth, *grid)
     assert turn.tolist() == [0, 3, 1, 2]
+
+
+def test_votes_by_a_table_of_what_is_near_are_those_without():
+    """No pose is lost by it, and none scores otherwise: what it gives up could not have been kept."""
+    several = 0
+    for scan in scans("lost", 12, 8, 3):
+        problem = scan.problem()
+        s = rigid(problem, *base_gains(problem, None))
+        near = curved_window(problem, s, WIDE)
+        W, gain, worth, cell, apart, pairs, tolerance = flights.ready(s.q, s.R, s.D, s.base, s.odds, near.counts, 15)
+        grid = fill_grid(s.p, cell)
+        side, table = flights.nearness(s.p, *grid[:3], pairs, near.counts)
+        assert table.size
+        given = s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, 30.66, *grid
+        found, slow = (
+            flights.explore(*given, side, told, apart, 12, 200_000, 30.0) for told in (table, np.empty((0, 0)))
+        )
+        several += np.isfinite(slow[1]).sum() > 3
+        assert np.array_equal(found[0], slow[0])
+        assert np.array_equal(found[1], slow[1])
+        assert found[2:] == slow[2:]
+    assert several >= 4
+
+
+def test_the_table_of_what_is_near_is_never_too_far():
+    rng = np.random.default_rng(4)
+    points, many = rng.uniform(-5.0, 5.0, (80, 2)), np.full(2, 1000)
+    cell, low, shape, *_ = fill_grid(points, 0.7)
+    side, table = flights.nearness(points, cell, low, shape, np.array([[0, 1]]), many)
+    close = 0
+    for at in rng.uniform(-5.5, 5.5, (3000, 2)):
+        least = ((points - at) ** 2).sum(1).min()
+        a, b = np.floor((at - low + cell) / side).astype(int)
+        inside = 0 <= a < table.shape[0] and 0 <= b < table.shape[1]
+        told = table[a, b] if inside else np.inf
+        assert least >= min(told, cell**2) - 1e-12
+        close += least < cell**2 and np.sqrt(least) < np.sqrt(told) + 1.5 * side
+    assert close > 1500
+    assert flights.nearness(points, cell, low, shape, np.array([[0, 1]]), np.full(2, 3))[1].size == 0

@@ -16,6 +16,8 @@ from tomthumb.kernels.jit import jit
 Array = Any
 
 LOG_2PI = math.log(2.0 * math.pi)
+FINE, SPREAD = 4, 1 << 18  # small cells along a side of a cell, and in all, at most
+MANY = 4000  # pairs of candidates of two observations from which a table of what is near pays
 
 
 @jit
@@ -102,26 +104,51 @@ def best_near(
 
 
 @jit
+def nearness(points: Array, cell: float, low: Array, shape: Array, pairs: Array, counts: Array) -> tuple[float, Array]:
+    """Side of a small cell, and the least squared distance from anywhere in each to a point (a, b), inf from `cell` on.
+
+    The small cells cover those of the grid from `low` on, one more on each side. Filling them costs what some hundred votes do: of
+    size 0 where the candidates of the first of the `pairs` of observations, `counts` (m,), are too few for it.
+    """
+    if pairs.shape[0] == 0 or counts[pairs[0, 0]] * counts[pairs[0, 1]] < MANY:
+        return cell, np.empty((0, 0))
+    fine = FINE
+    while fine > 1 and (shape[0] + 2) * (shape[1] + 2) * fine * fine > SPREAD:
+        fine -= 1
+    side = cell / fine
+    table = np.full(((shape[0] + 2) * fine, (shape[1] + 2) * fine), np.inf)
+    for j in range(points.shape[0]):
+        x, y = points[j, 0] - low[0] + cell, points[j, 1] - low[1] + cell
+        a, b = int(x / side), int(y / side)
+        for r in range(max(a - fine, 0), min(a + fine + 1, table.shape[0])):
+            u = max(r * side - x, x - (r + 1) * side, 0.0)
+            for t in range(max(b - fine, 0), min(b + fine + 1, table.shape[1])):
+                v = max(t * side - y, y - (t + 1) * side, 0.0)
+                table[r, t] = min(table[r, t], u * u + v * v)
+    return side, table
+
+
+@jit
 def explore(
     q: Array, W: Array, gain: Array, anchors: Array, tolerance: Array, start: Array, columns: Array, points: Array,
     worth: Array, prior_inverse: Array, prior_gate2: float, cell: float, low: Array, shape: Array, cells: Array,
-    index: Array, apart: Array, basins: int, budget: int, behind: float,
+    index: Array, side: float, table: Array, apart: Array, basins: int, budget: int, behind: float,
 ) -> tuple[Array, Array, int, int]:  # fmt: skip
     """Poses from all anchors' pairs of candidates, voted on by all observations; the best distinct ones, best first.
 
     q (m, 2) observations; W (m, 3) inverse covariances for the vote; gain (m,) what a perfect vote adds; anchors (a, 2)
     pairs of observations, tolerance (a,) m on their distance; candidates of i in columns[start[i]:start[i + 1]]; worth (n,)
     log odds of each point relative to the best. apart (2,): two poses nearer than this (m, rad) are one basin.
-    A pose is given up once it cannot come within `behind` nats of the best any more. Stops early when two anchors agree
-    on a basin that leads by 10 nats and explains 60 % of what can be gained; while only one does, those that it explains come
-    first: no others can agree.
+    A pose is given up once it cannot come within `behind` nats of the best any more, most by the `table` of `nearness`. Stops
+    early when two anchors agree on a basin that leads by 10 nats and explains 60 % of what can be gained; while only one does,
+    those that it explains come first: no others can agree.
     Returns poses (basins, 3), scores (-inf where none), poses tried and anchors used.
     """
     poses, scores, tried = np.zeros((basins, 3)), np.full(basins, -np.inf), 0
     rest = np.zeros(q.shape[0] + 1)  # what the observations from each on can gain
     for i in range(q.shape[0] - 1, -1, -1):
         rest[i] = rest[i + 1] + max(gain[i], 0.0)
-    support = np.zeros(basins, np.int64)  # anchors that led to each basin
+    support, loose = np.zeros(basins, np.int64), _loosest(W)  # anchors that led to each basin
     turn = np.arange(anchors.shape[0])
     for k in range(anchors.shape[0]):
         if scores[0] > 0.6 * rest[0] and (basins < 2 or scores[0] - scores[1] > 10.0):
@@ -152,11 +179,14 @@ def explore(
                     continue
                 tried += 1
                 floor = max(scores[basins - 1], scores[0] - behind)
-                score = _vote(
-                    q, W, gain, rest, points, worth, tx, ty, c, s, -cost, floor, cell, low, shape, cells, index
-                )  # fmt: skip
-                if score > floor:
-                    _settle(poses, scores, support, touched, tx, ty, theta, score, apart)
+                if table.size == 0 or _hopeful(
+                    q, loose, gain, rest, tx, ty, c, s, -cost, floor, low, cell, side, table
+                ):
+                    score = _vote(
+                        q, W, gain, rest, points, worth, tx, ty, c, s, -cost, floor, cell, low, shape, cells, index
+                    )  # fmt: skip
+                    if score > floor:
+                        _settle(poses, scores, support, touched, tx, ty, theta, score, apart)
                 if tried >= budget:
                     return poses, scores, tried, k
         for r in range(basins):
@@ -183,6 +213,35 @@ def _bring_forward(
             turn[k + 1 : r + 1] = turn[k:r].copy()
             turn[k] = first
             return
+
+
+@jit
+def _loosest(W: Array) -> Array:
+    """Half the least eigenvalue (m,) of inverse covariances W (m, 3): what a squared distance costs at least."""
+    least = np.empty(W.shape[0])
+    for i in range(W.shape[0]):
+        least[i] = 0.25 * (W[i, 0] + W[i, 2] - math.sqrt((W[i, 0] - W[i, 2]) ** 2 + 4.0 * W[i, 1] ** 2))
+    return least
+
+
+@jit
+def _hopeful(
+    q: Array, loose: Array, gain: Array, rest: Array, tx: float, ty: float, c: float, s: float, score: float,
+    floor: float, low: Array, cell: float, side: float, table: Array,
+) -> bool:  # fmt: skip
+    """Whether `_vote` may end above `floor`: no vote is more than that of the best point at the table's distance.
+
+    Nobody votes for a point farther than a cell.
+    """
+    x0, y0, back = cell - low[0], cell - low[1], 1.0 / side
+    for i in range(q.shape[0]):
+        if score + rest[i] <= floor:
+            return False
+        ox, oy = q[i, 0] - tx, q[i, 1] - ty
+        a, b = math.floor((c * ox + s * oy + x0) * back), math.floor((c * oy - s * ox + y0) * back)
+        if 0 <= a < table.shape[0] and 0 <= b < table.shape[1]:
+            score += max(gain[i] - loose[i] * table[a, b], 0.0)
+    return score > floor
 
 
 @jit

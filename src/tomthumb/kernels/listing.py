@@ -19,6 +19,7 @@ Array = Any
 LOG_2PI = math.log(2.0 * math.pi)
 PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
 LARGE = 12  # observations from which that saves more than it costs
+AGAIN = 3  # levels after which the others are looked over again: each pairing tells the motion better
 REMAINDER = 0.05  # covariance of a landmark with all others, beside the pose's, over the noise, that is held to be none
 
 
@@ -41,20 +42,27 @@ def listed(
     if not good or not _common(C, G, V, columns):
         return False, p, none, best, most, 0
     rest, known, value, loose, sums, choice, gains, at, count = _levels(order, start, worth)
-    match, used, ideal = np.full(m, -1, np.int64), np.zeros(n, np.bool_), np.zeros(columns.shape[0] + 1)
+    match, used, form = np.full(m, -1, np.int64), np.zeros(n, np.bool_), _formed(nu, G, V, worth, start, columns)
+    ideal, look = np.zeros((m // AGAIN + 1, columns.shape[0] + 1)), np.zeros(m + 1, np.int64)
     s, nodes, first, floor, looked = 0, 0, 0.0, -np.inf, False
     while True:
         if s < m:  # entered from above
-            if s == PLACED and m >= LARGE:
-                looked, loose[s] = True, value[s]
-                _looked_over(rest, ideal, order, s, value[s], known, slack, nu, G, told, V, worth, start, columns, used)
+            ahead = np.inf
+            at[s], sums[s], count[s], look[s] = 0, 0.0, 0, look[s - 1] if s > PLACED else 0
+            if m >= LARGE and s >= PLACED and (s - PLACED) % AGAIN == 0 and s + 2 < m:
+                looked, look[s], loose[s] = True, (s - PLACED) // AGAIN, value[s]
+                ahead = _looked_over(rest, ideal[look[s]], order, s, known, form, start, columns, used)
+                if s == PLACED and value[s] + ahead > floor:
+                    _put_in_order(rest, ideal[0], order, s, value[s], known, slack, form, told, start, columns, used)
             i = order[s]
-            at[s], sums[s] = 0, 0.0
             nodes += start[i + 1] - start[i] + 1
             if nodes > budget:
                 return False, p, none, best, most, nodes
-            limit = floor - rest[0, s + 1]
-            count[s] = _choices(choice, gains, s, i, value[s], known, told, start, columns, used, limit)
+            if value[s] + ahead > floor:
+                limit, least = floor - rest[0, s + 1], floor - loose[s] - rest[1, s + 1] if looked else -np.inf
+                count[s] = _choices(
+                    choice, gains, s, i, value[s], known, told, start, columns, used, limit, ideal[look[s]], least
+                )
         else:
             first = value[m] if most == -np.inf else first
             if value[m] > most:
@@ -71,7 +79,7 @@ def listed(
                 sums[s] += sums[s + 1]
                 at[s] += 1
             c = choice[s, at[s]]
-            loose[s + 1] = loose[s] + ideal[c]  # the last of ideal, 0, is that of nothing, -1
+            loose[s + 1] = loose[s] + ideal[look[s], c]  # the last of ideal, 0, is that of nothing, -1
             if not looked or loose[s + 1] + rest[1, s + 1] > floor:
                 break
             at[s] += 1
@@ -199,13 +207,16 @@ def _levels(
 @jit
 def _choices(
     choice: Array, gains: Array, s: int, i: int, value: float, known: Array, told: Array, start: Array, columns: Array,
-    used: Array, limit: float,
+    used: Array, limit: float, ideal: Array, least: float,
 ) -> int:  # fmt: skip
-    """What observation i can be (c, or -1: nothing), with L then, above `limit`, best first; how many."""
+    """What observation i can be (c, or -1: nothing), with L then, above `limit`, best first; how many.
+
+    Of what cannot gain more than `least` by its bound, `ideal`, L is not asked for.
+    """
     choice[s, 0], gains[s, 0] = -1, value
     count = 1
     for c in range(start[i], start[i + 1]):
-        if used[columns[c]]:
+        if used[columns[c]] or not ideal[c] > least:
             continue
         gain = _posterior(known, s, told, c)
         if not gain > limit:
@@ -225,30 +236,63 @@ def _posterior(known: Array, s: int, told: Array, c: int) -> float:
     a00, a10, a11 = known[s, 0] + told[c, 0], known[s, 1] + told[c, 1], known[s, 2] + told[c, 2]
     a20, a21, a22 = known[s, 3] + told[c, 3], known[s, 4] + told[c, 4], known[s, 5] + told[c, 5]
     y0 = known[s, 6] + told[c, 6]
-    l10, l20 = a10 / a00, a20 / a00
+    r0 = 1.0 / a00
+    l10, l20 = a10 * r0, a20 * r0
     d1, e = a11 - l10 * a10, a21 - l20 * a10
-    l21 = e / d1
+    r1 = 1.0 / d1
+    l21 = e * r1
     d2 = a22 - l20 * a20 - l21 * e
     y1 = known[s, 7] + told[c, 7] - l10 * y0
     y2 = known[s, 8] + told[c, 8] - l20 * y0 - l21 * y1
-    fit = y0 * y0 / a00 + y1 * y1 / d1 + y2 * y2 / d2
+    fit = y0 * y0 * r0 + y1 * y1 * r1 + y2 * y2 / d2
     return float(known[s, 9] + told[c, 9] + 0.5 * (fit - math.log(a00 * d1 * d2)))
 
 
 @jit
-def _looked_over(
-    rest: Array, ideal: Array, order: Array, s: int, value: float, known: Array, slack: float, nu: Array, G: Array,
-    told: Array, V: Array, worth: Array, start: Array, columns: Array, used: Array,
-) -> None:  # fmt: skip
-    """order[s:] and what follows level s in `rest` again, in place, now that a few pairings tell the motion.
+def _formed(nu: Array, G: Array, V: Array, worth: Array, start: Array, columns: Array) -> Array:
+    """What `_ideals` asks of each listed pairing, in columns (12, k): its two rows of G, nu, V and its gain at d2 = 0."""
+    form = np.empty((12, columns.shape[0]))
+    for i in range(start.shape[0] - 1):
+        for c in range(start[i], start[i + 1]):
+            j = columns[c]
+            for r in range(3):
+                form[r, c], form[3 + r, c], form[8 + r, c] = G[2 * j, r], G[2 * j + 1, r], V[c, r]
+            form[6, c], form[7, c], form[11, c] = nu[i, j, 0], nu[i, j, 1], worth[c]
+    return form
 
-    ideal: the most that each pairing can gain from here on, for its share of what moving the motion costs; rest[1]: sums of the
-    best. All of a hypothesis's together bound its L, not those of the open ones after the others' true gains: who came first has
-    paid for the motion already. First the observations whose best choice lies farthest below its bound, by how many choices
-    they have within `slack`: they settle most at least cost.
+
+@jit
+def _looked_over(
+    rest: Array, ideal: Array, order: Array, s: int, known: Array, form: Array, start: Array, columns: Array, used: Array
+) -> float:  # fmt: skip
+    """The most that order[s:] can add to the L of level s, now that so many pairings tell the motion.
+
+    ideal: the most that each pairing can gain from here on, for its share of what moving the motion costs; rest[1] after s: sums
+    of the best. All of a hypothesis's together bound its L, not those of the open ones after the others' true gains: who came
+    first has paid for the motion already. The pairings above s keep the `ideal` of the look that they were bound by.
     """
-    m, x, U = order.shape[0], np.empty(3), np.empty((3, 3))
-    _motion(known, s, x, U)
+    _ideals(ideal, known, s, form, order.shape[0] - s)
+    ahead = 0.0
+    for t in range(order.shape[0] - 1, s - 1, -1):
+        i, top = order[t], 0.0
+        for c in range(start[i], start[i + 1]):
+            if ideal[c] > top and not used[columns[c]]:
+                top = ideal[c]
+        ahead += top
+        if t > s:  # rest[:, s] itself is for the level above, whose other choices leave other landmarks
+            rest[1, t] = ahead
+    return ahead
+
+
+@jit
+def _put_in_order(
+    rest: Array, ideal: Array, order: Array, s: int, value: float, known: Array, slack: float, form: Array, told: Array,
+    start: Array, columns: Array, used: Array,
+) -> None:  # fmt: skip
+    """order[s:], with what follows level s in `rest`, in place: first the observations whose best choice lies farthest below its
+    bound, by how many choices they have within `slack`: they settle most at least cost.
+    """
+    m = order.shape[0]
     urgent, most, perfect, gains = np.empty(m), np.empty(m), np.empty(m), np.empty(columns.shape[0])
     for t in range(s, m):
         i, top, high, best, choices = order[t], 0.0, 0.0, 0.0, 0.0
@@ -256,8 +300,7 @@ def _looked_over(
             gains[c] = -np.inf
             if not used[columns[c]]:
                 gains[c] = _posterior(known, s, told, c) - value
-                ideal[c] = worth[c] - _least(nu, i, columns[c], c, G, V, x, U, m - s)
-                best, top, high = max(best, gains[c]), max(top, ideal[c]), max(high, worth[c])
+                best, top, high = max(best, gains[c]), max(top, ideal[c]), max(high, form[11, c])
         for c in range(start[i], start[i + 1]):
             choices += gains[c] > best - slack
         urgency, k = (top - best) / (choices + (best < slack)), t
@@ -266,34 +309,37 @@ def _looked_over(
             k -= 1
         urgent[k], most[k], perfect[k], order[k] = urgency, top, high, i
     rest[1, m] = 0.0
-    for t in range(m - 1, s, -1):  # rest[:, s] itself is for the level above, whose other choices leave other landmarks
+    for t in range(m - 1, s, -1):
         rest[0, t], rest[1, t] = rest[0, t + 1] + perfect[t], rest[1, t + 1] + most[t]
 
 
 @jit
-def _motion(known: Array, s: int, x: Array, U: Array) -> None:
-    """Mean x (3,) and covariance U (3, 3) of the motion, by what is known at level s."""
+def _motion(known: Array, s: int) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Mean (3) and covariance (its lower half by rows, 6) of the motion, by what is known at level s."""
     a, b, c, d, e, f = known[s, 0], known[s, 1], known[s, 2], known[s, 3], known[s, 4], known[s, 5]
-    U[0, 0], U[1, 1], U[2, 2] = c * f - e * e, a * f - d * d, a * c - b * b
-    U[0, 1], U[0, 2], U[1, 2] = e * d - b * f, b * e - c * d, b * d - a * e
-    U[1, 0], U[2, 0], U[2, 1] = U[0, 1], U[0, 2], U[1, 2]
-    det = a * U[0, 0] + b * U[0, 1] + d * U[0, 2]
-    for r in range(3):
-        x[r] = (U[r, 0] * known[s, 6] + U[r, 1] * known[s, 7] + U[r, 2] * known[s, 8]) / det
-        for t in range(3):
-            U[r, t] /= det
+    u, v, w = known[s, 6], known[s, 7], known[s, 8]
+    p, q, r = c * f - e * e, e * d - b * f, b * e - c * d
+    det = a * p + b * q + d * r
+    p, q, r, g, h, k = p / det, q / det, r / det, (a * f - d * d) / det, (b * d - a * e) / det, (a * c - b * b) / det
+    return p * u + q * v + r * w, q * u + g * v + h * w, r * u + h * v + k * w, p, q, g, r, h, k
 
 
 @jit
-def _least(nu: Array, i: int, j: int, c: int, G: Array, V: Array, x: Array, U: Array, shares: int) -> float:
-    """The least that pairing c costs, where each of so many may move the motion as it likes for its share of the price.
+def _ideals(ideal: Array, known: Array, s: int, form: Array, shares: int) -> None:
+    """What each pairing gains less the least that it costs, where each of so many may move the motion as it likes for its share.
 
-    d2 / 2 under V + shares J U J'; one motion for all cannot cost less than these together.
+    d2 / 2 under V + shares J U J'; one motion for all cannot cost less than these together. All of them, in place, whether
+    open or not: without a question in the loop several are done at once.
     """
-    u, v, a, b, d = nu[i, j, 0], nu[i, j, 1], V[c, 0], V[c, 1], V[c, 2]
-    for r in range(3):
-        p = shares * (U[r, 0] * G[2 * j, 0] + U[r, 1] * G[2 * j, 1] + U[r, 2] * G[2 * j, 2])
-        q = shares * (U[r, 0] * G[2 * j + 1, 0] + U[r, 1] * G[2 * j + 1, 1] + U[r, 2] * G[2 * j + 1, 2])
-        u, v = u - G[2 * j, r] * x[r], v - G[2 * j + 1, r] * x[r]
-        a, b, d = a + G[2 * j, r] * p, b + G[2 * j, r] * q, d + G[2 * j + 1, r] * q
-    return float(0.5 * (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b))
+    x, y, z, u00, u10, u11, u20, u21, u22 = _motion(known, s)
+    u00, u10, u11, u20, u21, u22 = shares * u00, shares * u10, shares * u11, shares * u20, shares * u21, shares * u22
+    for c in range(form.shape[1]):
+        e0, e1, e2, f0, f1, f2 = form[0, c], form[1, c], form[2, c], form[3, c], form[4, c], form[5, c]
+        u, v = form[6, c] - e0 * x - e1 * y - e2 * z, form[7, c] - f0 * x - f1 * y - f2 * z
+        p0, q0 = u00 * e0 + u10 * e1 + u20 * e2, u00 * f0 + u10 * f1 + u20 * f2
+        p1, q1 = u10 * e0 + u11 * e1 + u21 * e2, u10 * f0 + u11 * f1 + u21 * f2
+        p2, q2 = u20 * e0 + u21 * e1 + u22 * e2, u20 * f0 + u21 * f1 + u22 * f2
+        a = form[8, c] + e0 * p0 + e1 * p1 + e2 * p2
+        b = form[9, c] + e0 * q0 + e1 * q1 + e2 * q2
+        d = form[10, c] + f0 * q0 + f1 * q1 + f2 * q2
+        ideal[c] = form[11, c] - 0.5 * (d * u * u - 2.0 * b * u * v + a * v * v) / (a * d - b * b)

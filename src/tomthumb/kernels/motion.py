@@ -41,7 +41,8 @@ def local_candidates(
                 continue
             for k in range(cells[a * shape[1] + first], cells[a * shape[1] + last]):
                 j = index[k]
-                if math.hypot(points[j, 0] - x, points[j, 1] - y) > reach[i] or (allowed.size and not allowed[i, j]):
+                square = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
+                if square > reach[i] * reach[i] or (allowed.size and not allowed[i, j]):
                     continue
                 if count == columns.shape[0]:
                     columns = np.concatenate((columns, np.empty_like(columns)))
@@ -91,60 +92,6 @@ def descend(
             poses[k], q, R, points, D, base, odds, prior_inverse, start, columns, gate2, rounds
         )
     return ends, Ms, matches, values
-
-
-@jit
-def by_itself(q: Array, R: Array, points: Array, D: Array, Xi: Array, gate2: float) -> Array:
-    """Squared distance (m, n) of each pairing, by itself: the least of xi' Xi^-1 xi + r' V^-1 r over the motion xi, or, as that
-    is all a gate asks, of the first motion tried that is below `gate2`.
-
-    Chi-square of two degrees of freedom, however far the turn: no arc is linearised. Given the turn t the best shift is
-    known, and leaves t^2 / v + e' A e, e(t) = q - Rot(t) p - k t, A = (V + S)^-1; S is the shift's covariance given the
-    turn, k what a turn shifts on average. Tried are no turn, then Gauss-Newton in t from that between the two bearings. A
-    pairing whose distances from the robot differ by more than shift and noise allow is inf without that.
-    """
-    m, n, d2 = q.shape[0], points.shape[0], np.full((q.shape[0], points.shape[0]), np.inf)
-    v = Xi[2, 2]
-    kx, ky, far = Xi[0, 2] / v, Xi[1, 2] / v, math.sqrt(gate2 * v)
-    s00, s01, s11 = Xi[0, 0] - kx * Xi[0, 2], Xi[0, 1] - kx * Xi[1, 2], Xi[1, 1] - ky * Xi[1, 2]
-    drift = far * math.hypot(kx, ky)
-    lengths = np.hypot(q[:, 0], q[:, 1])
-    for j in range(n):
-        x, y = points[j, 0], points[j, 1]
-        length = math.hypot(x, y)
-        for i in range(m):
-            a, b, d = R[i, 0, 0] + D[j, 0, 0] + s00, R[i, 0, 1] + D[j, 0, 1] + s01, R[i, 1, 1] + D[j, 1, 1] + s11
-            gap = max(abs(lengths[i] - length) - drift, 0.0)
-            if gap * gap > gate2 * (0.5 * (a + d) + math.hypot(0.5 * (a - d), b)):
-                continue
-            A = d / (a * d - b * b), -b / (a * d - b * b), a / (a * d - b * b)
-            d2[i, j] = _turned(0.0, q[i, 0], q[i, 1], x, y, kx, ky, v, A)[0]
-            if d2[i, j] < gate2:
-                continue
-            turn = math.atan2(x * q[i, 1] - y * q[i, 0], x * q[i, 0] + y * q[i, 1])
-            turn = min(max(turn, -far), far)
-            for _ in range(4):
-                cost, step = _turned(turn, q[i, 0], q[i, 1], x, y, kx, ky, v, A)
-                d2[i, j] = min(d2[i, j], cost)
-                if cost < gate2:
-                    break
-                turn += step
-    return d2
-
-
-@jit
-def _turned(
-    t: float, qx: float, qy: float, x: float, y: float, kx: float, ky: float, v: float, A: tuple[float, float, float]
-) -> tuple[float, float]:  # fmt: skip
-    """t^2 / v + e' A e, and Gauss-Newton's next step of t."""
-    c, s = math.cos(t), math.sin(t)
-    px, py = c * x - s * y, s * x + c * y
-    ex, ey = qx - px - kx * t, qy - py - ky * t
-    fx, fy = A[0] * ex + A[1] * ey, A[1] * ex + A[2] * ey
-    gx, gy = kx - py, ky + px  # minus the derivative of e
-    slope = fx * gx + fy * gy - t / v
-    curve = A[0] * gx * gx + 2.0 * A[1] * gx * gy + A[2] * gy * gy + 1.0 / v
-    return t * t / v + fx * ex + fy * ey, slope / curve
 
 
 @jit

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tomthumb.associators.tom_thumb.scene import Rigid, Window
+from tomthumb.associators.tom_thumb.scene import NO_LABELS, Rigid, Window
 from tomthumb.kernels import flights, motion
 from tomthumb.kernels.grid import fill_grid
-from tomthumb.types import Array, Ids, Mask
+from tomthumb.types import Array, Ids
 
 POLISHED = 4  # basins, best first, whose assignment is made optimal
 BEHIND = 15.0  # nats behind the best L at which a vote is not refined; twice that behind the best vote, not counted out
-NO_LABELS: Mask = np.empty((0, 0), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +51,9 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
         s.q, s.R, s.D, s.base, s.odds, near.counts, budget.anchors
     )
     grid = fill_grid(s.p, cell)
+    side, table = flights.nearness(s.p, *grid[:3], pairs, near.counts)
     poses, scores, tried, used = flights.explore(
-        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, *grid, apart,
+        s.q, W, gain, pairs, tolerance, near.start, near.columns, s.p, worth, s.prior, gate3, *grid, side, table, apart,
         budget.basins, budget.poses, 2.0 * BEHIND,
     )  # fmt: skip
     kept = np.isfinite(scores)
@@ -75,9 +75,8 @@ def anchored(s: Rigid, near: Window, gate2: float, gate3: float, budget: Budget)
 def _leaders(matches: Ids, values: Array, reach: float) -> list[int]:
     """Rows within `reach` nats of the best, best first, each hypothesis once."""
     kept: list[int] = []
-    for k in np.argsort(-values, kind="stable"):
-        if values[k] < values.max() - reach:
-            break
+    near = np.flatnonzero(values >= values.max() - reach)
+    for k in near[np.argsort(-values[near], kind="stable")]:
         if not any(np.array_equal(matches[k], matches[r]) for r in kept):
             kept.append(int(k))
     return kept

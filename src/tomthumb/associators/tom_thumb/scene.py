@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tomthumb.associators.nearest import log_odds
-from tomthumb.kernels import motion
+from tomthumb.kernels import arcs
 from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
@@ -21,6 +21,7 @@ SAMPLE = 16  # predictions on which the common motion is fitted and checked
 REMAINDER = 0.1  # covariance between landmarks left over by the motion, relative to their own and the noise
 LOOSE = 10.0  # the same where a linearised covariance would be wrong by more than that, and what is found is looked at again
 NOTHING, UNKNOWN = np.empty((0, 0)), np.empty(0)
+NO_LABELS: Mask = np.empty((0, 0), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +100,8 @@ def window(d2: Array, gate: float) -> Window:
 
 def curved_window(problem: AssociationProblem, s: Rigid, gate: float) -> Window:
     """Every landmark within `gate` of each observation, nearest first, by the best motion of each pairing: not linearised."""
-    d2 = motion.by_itself(s.q, s.R, s.p, s.D, s.Xi, gate_of_two(gate))
-    if s.allowed is not None:
-        d2[~s.allowed] = np.inf
-    return window(d2, gate)
+    allowed = NO_LABELS if s.allowed is None else s.allowed
+    return Window(*arcs.by_itself(s.q, s.R, s.p, s.D, s.Xi, gate_of_two(gate), allowed))
 
 
 def cartesian(z: Array, angles: tuple[int, ...]) -> tuple[Array, Array] | None:
