@@ -190,7 +190,8 @@ def test_what_no_motion_brings_within_the_gate_is_all_that_is_left_out_untried()
         W = V + Xi[:2, :2] - np.outer(k, k) * v
         turn = (np.arctan2(q[1], q[0]) - np.arctan2(p[1], p[0]) + np.pi) % (2.0 * np.pi) - np.pi
         least = least_of_all_turns(q, p, V, Xi)
-        left_out = arcs._beyond(np.hypot(*q), np.hypot(*p), turn, (W[0, 0], W[0, 1], W[1, 1]), *k, v, gate2)
+        more = 1.0 + np.sqrt(k @ k * v / np.linalg.eigvalsh(W - V)[1])
+        left_out = arcs._beyond(np.hypot(*q), np.hypot(*p), turn, (W[0, 0], W[0, 1], W[1, 1]), more, v, gate2)
         assert not (left_out and least < gate2)
         listed = arcs.by_itself(q[None], V[None], p[None], np.zeros((1, 2, 2)), Xi, gate2, NO_LABELS)[1]
         assert not (len(listed) and least > gate2 + 1e-3)

@@ -30,6 +30,7 @@ def by_itself(
     m, n, v = q.shape[0], points.shape[0], Xi[2, 2]
     kx, ky = Xi[0, 2] / v, Xi[1, 2] / v
     S = Xi[0, 0] - kx * Xi[0, 2], Xi[0, 1] - kx * Xi[1, 2], Xi[1, 1] - ky * Xi[1, 2]
+    more = 1.0 + math.sqrt((kx * kx + ky * ky) * v / _greatest(S))
     lengths, bearings = _polar(points)
     far, ahead = _polar(q)
     start, columns, count = np.zeros(m + 1, np.int64), np.empty(8 * m, np.int64), 0
@@ -42,9 +43,13 @@ def by_itself(
             V = R[i, 0, 0] + D[j, 0, 0] + S[0], R[i, 0, 1] + D[j, 0, 1] + S[1], R[i, 1, 1] + D[j, 1, 1] + S[2]
             turn = ahead[i] - bearings[j]
             turn -= 2.0 * math.pi if turn > math.pi else (-2.0 * math.pi if turn < -math.pi else 0.0)
-            if not _beyond(far[i], lengths[j], turn, V, kx, ky, v, gate2):
-                d2[few] = _tried(turn, q[i, 0], q[i, 1], points[j, 0], points[j, 1], V, kx, ky, v, gate2)
-                mine[few] = j
+            if not _beyond(far[i], lengths[j], turn, V, more, v, gate2):
+                back = 1.0 / (V[0] * V[2] - V[1] * V[1])
+                A = V[2] * back, -V[1] * back, V[0] * back
+                ex, ey = q[i, 0] - points[j, 0], q[i, 1] - points[j, 1]
+                mine[few], d2[few] = j, A[0] * ex * ex + 2.0 * A[1] * ex * ey + A[2] * ey * ey
+                if not d2[few] < gate2:
+                    d2[few] = _tried(turn, q[i, 0], q[i, 1], points[j, 0], points[j, 1], kx, ky, v, A, gate2)
                 few += d2[few] < gate2
         while count + few > columns.shape[0]:
             columns = np.concatenate((columns, np.empty_like(columns)))
@@ -65,41 +70,44 @@ def _polar(points: Array) -> tuple[Array, Array]:
 
 
 @jit
+def _greatest(V: tuple[float, float, float]) -> float:
+    """The greatest eigenvalue of a symmetric matrix, told by its lower half."""
+    return 0.5 * (V[0] + V[2] + math.sqrt((V[0] - V[2]) ** 2 + 4.0 * V[1] * V[1]))
+
+
+@jit
 def _beyond(
-    one: float, two: float, turn: float, V: tuple[float, float, float], kx: float, ky: float, v: float, gate2: float
+    one: float, two: float, turn: float, V: tuple[float, float, float], more: float, v: float, gate2: float
 ) -> bool:  # fmt: skip
     """Whether no motion brings two points, so far from the robot and their bearings a `turn` apart, within the gate.
 
     After a turn t they are a chord apart, (one - two)^2 + 4 one two sin^2((turn - t) / 2), and its sine is no less than its
-    angle times 1 - turn^2 / 24. Over the greatest variance of V, and with t^2 / v, the least of that over t is known. What a
-    turn shifts, `drift` at most, makes variance and gate larger in the same ratio: (drift + s)^2 is no more than
-    (1 + w) s^2 + (1 + 1 / w) drift^2, whatever w.
+    angle times 1 - turn^2 / 24. Over the greatest variance of V, and with t^2 / v, the least of that over t is known. What
+    turns within the gate shift, d at most, makes variance and gate larger, both `more` = 1 + w times: (s + d)^2 is no more than
+    (1 + w) s^2 + (1 + 1 / w) d^2, whatever w; and d^2 is no more than w^2 gates of that variance where w^2 is |k|^2 v over it,
+    or larger.
     """
-    large = 0.5 * (V[0] + V[2] + math.sqrt((V[0] - V[2]) ** 2 + 4.0 * V[1] * V[1]))
-    more = 1.0 + math.sqrt(
-        (kx * kx + ky * ky) * v / large
-    )  # drift: the shift k of the farthest turn, over that of the gate
-    wide, bow = large * more, 1.0 - turn * turn / 24.0
+    wide, bow = _greatest(V) * more, 1.0 - turn * turn / 24.0
     left = gate2 * more * (1.0 + 1e-9) - (one - two) ** 2 / wide
     return bool(left < 0.0 or turn * turn > left * (v + wide / (one * two * bow * bow)))
 
 
 @jit
 def _tried(
-    turn: float, qx: float, qy: float, x: float, y: float, V: tuple[float, float, float], kx: float, ky: float, v: float,
+    turn: float, qx: float, qy: float, x: float, y: float, kx: float, ky: float, v: float, A: tuple[float, float, float],
     gate2: float,
 ) -> float:  # fmt: skip
-    """The squared distance at no turn, or where that is not within the gate, at the first of Gauss-Newton's turns that is.
+    """The squared distance at the first turn within the gate of four by Gauss-Newton, or at the last.
 
-    From `turn`, that between the two bearings, which is no more than the gate allows of it.
+    They begin at `turn`, that between the two bearings, or at the farthest that the gate allows.
     """
-    back, far, tries = 1.0 / (V[0] * V[2] - V[1] * V[1]), math.sqrt(gate2 * v), 0
-    A = V[2] * back, -V[1] * back, V[0] * back
-    ex, ey = qx - x, qy - y
-    cost, turn = A[0] * ex * ex + 2.0 * A[1] * ex * ey + A[2] * ey * ey, min(max(turn, -far), far)
-    while not cost < gate2 and tries < 4:
+    far, cost = math.sqrt(gate2 * v), np.inf
+    turn = min(max(turn, -far), far)
+    for _ in range(4):
         cost, step = _turned(turn, qx, qy, x, y, kx, ky, v, A)
-        turn, tries = turn + step, tries + 1
+        if cost < gate2:
+            break
+        turn += step
     return cost
 
 
