@@ -19,6 +19,7 @@ Array = Any
 LOG_2PI = math.log(2.0 * math.pi)
 PLACED = 3  # observations that tell where the robot is, one of them to spare: the others are looked over from there
 LARGE = 12  # observations from which that saves more than it costs
+AT_ONCE = 5  # pairings that a look weighs in the time of one node
 AGAIN = 3  # levels after which the others are looked over again: each pairing tells the motion better
 REMAINDER = 0.05  # covariance of a landmark with all others, beside the pose's, over the noise, that is held to be none
 
@@ -51,6 +52,7 @@ def listed(
             at[s], sums[s], count[s], look[s] = 0, 0.0, 0, look[s - 1] if s > PLACED else 0
             if m >= LARGE and s >= PLACED and (s - PLACED) % AGAIN == 0 and s + 2 < m:
                 looked, look[s], loose[s] = True, (s - PLACED) // AGAIN, value[s]
+                nodes += columns.shape[0] // AT_ONCE
                 ahead = _looked_over(rest, ideal[look[s]], order, s, known, form, start, columns, used)
                 if s == PLACED and value[s] + ahead > floor:
                     _put_in_order(rest, ideal[0], order, s, value[s], known, slack, form, told, start, columns, used)
