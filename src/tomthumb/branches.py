@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +12,7 @@ from tomthumb.doubt import Trials
 from tomthumb.graves import Graveyard
 from tomthumb.lifecycle import Ledger
 from tomthumb.protocols import Estimator
-from tomthumb.types import Array, Ids, Observations
+from tomthumb.types import Array, Ids, Mask, Observations, Predictions
 
 CERTAIN = 1e-12 * np.eye(3)  # the first pose of a new map is the map's own frame
 HOPELESS = 10.0  # nats behind the best branch at which a branch is given up
@@ -23,6 +23,7 @@ class Branch:
     """One history of associations: its belief, what its landmarks have lived through, and how likely it is.
 
     trials: how those of its crumbs ended; untried: what was made a stone before its own.
+    land: where it has looked from, as far as that was asked for (`evidence.Land`).
     `log_weight` is relative to the best branch, `evidence` the sum of all its hypotheses' log weights.
     """
 
@@ -32,6 +33,7 @@ class Branch:
     graves: Graveyard = field(default_factory=Graveyard)
     trials: Trials = field(default_factory=Trials)
     untried: frozenset[int] = frozenset()
+    land: Any = None
     log_weight: float = 0.0
     evidence: float = 0.0
     history: tuple[Any, Ids, Array, int] | None = None  # (earlier history, ids, pose, scans before): one a step, shared
@@ -43,6 +45,19 @@ class Branch:
         """One more scan explained."""
         self.log_weight += log_weight
         self.evidence += log_weight
+
+
+Child = tuple[
+    Branch, Sequence[Predictions], Sequence[Ids], dict[str, Any]
+]  # with what was expected, matched, and spent
+
+
+def ranked(children: list[Child]) -> None:
+    """Best first, and weighed relative to the best."""
+    children.sort(key=lambda c: -c[0].log_weight)
+    top = children[0][0].log_weight
+    for branch, *_ in children:
+        branch.log_weight -= top
 
 
 def told(branch: Branch) -> list[tuple[str, int, int, int]]:
@@ -105,3 +120,9 @@ def apart(branches: list[Branch], estimator: Estimator[Any]) -> list[Branch]:
         if branch.log_weight > -HOPELESS and not any(same):
             kept.append(branch)
     return kept
+
+
+def among(ids: Ids, crumbs: set[int]) -> Mask:
+    """Which ids (m,) are crumbs. Looked up one by one: most steps have no scan, and m is small beside their number."""
+    found: Mask = np.array([i in crumbs for i in ids.tolist()], bool)
+    return found

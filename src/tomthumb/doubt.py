@@ -33,6 +33,11 @@ class Trials:
         return (self.stood + 1.0) / (self.stood + self.faded + 2.0)
 
 
+def mostly_stands(trials: Trials, policy: LifeCycle) -> bool:
+    """Whether what is new is known to stand in more than `policy.doubt` of the cases: no passers-by, and no clutter."""
+    return trials.share > policy.doubt
+
+
 def untried_of(ledger: Ledger, some: Iterable[int], policy: LifeCycle) -> frozenset[int]:
     """Those with less than `policy.hits` static sightings. What was given up and came back has been tried before."""
     lives = ((i, ledger[i]) for i in some if i in ledger)

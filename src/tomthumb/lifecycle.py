@@ -126,11 +126,11 @@ def copy_ledger(ledger: Ledger) -> Ledger:
     return {i: replace(life, companions=set(life.companions)) for i, life in ledger.items()}
 
 
-def with_existence(predictions: Predictions, ledger: Ledger, policy: LifeCycle) -> Predictions:
+def with_existence(predictions: Predictions, ledger: Ledger, present: bool) -> Predictions:
     """The predictions, told how likely each landmark is to exist; with `present` stones do until they are absent."""
     lives = [ledger[i] for i in predictions.ids.tolist()]
     exist = np.array([life.exist for life in lives], float)
-    if policy.present and predictions.stone is not None:
+    if present and predictions.stone is not None:
         absent = np.array([life.silence >= ABSENT for life in lives], bool)
         exist[predictions.stone & ~absent] = SURE
     return replace(predictions, exist=exist)

@@ -16,15 +16,16 @@ import numpy as np
 
 from tomthumb import lifecycle
 from tomthumb.appearance import Crowd, Looks, weigh, with_looks
-from tomthumb.branches import Branch, Scan, apart
+from tomthumb.branches import Branch, Child, Scan, among, apart, ranked
 from tomthumb.checks import check_step
 from tomthumb.court import Court
-from tomthumb.doubt import put_on_trial, untried_of
+from tomthumb.doubt import mostly_stands, put_on_trial, untried_of
 from tomthumb.errors import Diverged
+from tomthumb.evidence import level, missed
 from tomthumb.geometry import wrapped
 from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
-from tomthumb.lifecycle import Ledger, Life, LifeCycle
+from tomthumb.lifecycle import Life, LifeCycle
 from tomthumb.protocols import Associator, Estimator, Motion, Rng, Sensor
 from tomthumb.returns import look_back
 from tomthumb.revision import Moment, Revision
@@ -159,14 +160,14 @@ class Slam:
         honest = self._honest(seen)
         scan = Scan(seen, honest, news(honest, self.sensor.memory, self.moved), serials)
         children = [child for branch in self.branches for child in self._children(branch, scan)]
-        children.sort(key=lambda c: -c[0].log_weight)
+        ranked(children)
         children = children[: self.width]
-        top = children[0][0].log_weight
         spent = perf_counter() - begin
         self.moved = 0.0
         for branch, predictions, matches, _ in children:
-            branch.log_weight -= top
             self._settle(branch, scan, predictions, matches)
+        level(self, children, scan)
+        ranked(children)
         best = children[0][0]
         self.crowd.record(seen)
         self.clutter.count += float(np.count_nonzero(best.paired < 0))
@@ -175,31 +176,29 @@ class Slam:
         infos = children[0][3] | self.court.attend(self, scan)
         if self.teacher is not self.associator or self.index >= self.teach_steps:
             best = self.branches[0]  # from it alone: one scan, one lesson; and of stones, crumbs have no name yet
-            self.associator.learn(best.ids[~_among(best.ids, best.crumbs)], self.t)
+            self.associator.learn(best.ids[~among(best.ids, best.crumbs)], self.t)
         return spent, infos
 
-    def _children(self, branch: Branch, scan: Scan) -> list[tuple[Branch, Any, Any, dict[str, Any]]]:
+    def _children(self, branch: Branch, scan: Scan) -> list[Child]:
         """The branch with each hypothesis of its associator. Many predictions (particles) take the best one each."""
-        every = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        every = [self._expected(p, branch) for p in self.estimator.expect(branch.belief)]
         found = [self._ask(p, scan) for p in every]
-        if len(every) > 1 or len(found[0]) == 1:
-            branch.weigh(found[0][0].log_weight)
-            return [(branch, every, [f[0].match for f in found], _spent(found[0][0]))]
-        out = []
-        for k, hypothesis in enumerate(found[0][: self.width]):
-            child = branch if k == 0 else self._fork(branch)
-            out.append((child, every, [hypothesis.match], _spent(hypothesis), hypothesis.log_weight))
-        for child, *_, weight in out:
-            child.weigh(weight)
-        return [item[:4] for item in out]
+        several = len(every) == 1 and mostly_stands(branch.trials, self.policy)
+        some = found[0][: self.width if several else 1]
+        parents = [branch, *(self._fork(branch) for _ in some[1:])]
+        for child, hypothesis in zip(parents, some, strict=True):
+            child.weigh(hypothesis.log_weight + missed(every[0], hypothesis.match, branch.ledger))
+        others = [f[0].match for f in found[1:]]
+        return [(c, every, [h.match, *others], _spent(h)) for c, h in zip(parents, some, strict=True)]
 
-    def _expected(self, predictions: Predictions, ledger: Ledger) -> Predictions:
+    def _expected(self, predictions: Predictions, branch: Branch) -> Predictions:
         """The predictions with what the life so far says: existence, and detection where each landmark stands."""
         if predictions.points is not None and predictions.visible is not None and len(predictions):
             learned = self.detection.chance(predictions.points) / self.detection.prior
             predictions = replace(predictions, visible=np.minimum(predictions.visible * learned, 0.999))
-        known = (ledger[int(i)].looks for i in predictions.ids)
-        return with_looks(lifecycle.with_existence(predictions, ledger, self.policy), known, self.crowd)
+        known = (branch.ledger[int(i)].looks for i in predictions.ids)
+        present = self.policy.present and mostly_stands(branch.trials, self.policy)
+        return with_looks(lifecycle.with_existence(predictions, branch.ledger, present), known, self.crowd)
 
     def _fork(self, branch: Branch) -> Branch:
         belief, ledger = self.estimator.fork(branch.belief), lifecycle.copy_ledger(branch.ledger)
@@ -224,7 +223,7 @@ class Slam:
 
     def found(self, branch: Branch, scan: Scan) -> None:
         """A branch without a map begins one with this scan."""
-        predictions = [self._expected(p, branch.ledger) for p in self.estimator.expect(branch.belief)]
+        predictions = [self._expected(p, branch) for p in self.estimator.expect(branch.belief)]
         self._settle(branch, scan, predictions, [np.full(len(scan), -1, np.int64) for _ in predictions])
 
     def _settle(self, branch: Branch, scan: Scan, every: Sequence[Predictions], matches: Sequence[Ids]) -> None:
@@ -373,7 +372,7 @@ class Slam:
         begin, predicted, spent = clock
         end = perf_counter()
         seconds = (predicted - begin, spent, end - predicted - spent, 0.0)
-        stone = (best.paired >= 0) & ~_among(best.paired, best.crumbs)
+        stone = (best.paired >= 0) & ~among(best.paired, best.crumbs)
         return StepRecord(
             self.index, t, *estimate, serials, best.ids, best.paired >= 0, stone, seconds,
             float(stats.get("nis", 0.0)), int(stats.get("dof", 0)), len(best.ledger), info,
@@ -383,12 +382,6 @@ class Slam:
 def _spent(answer: Association) -> dict[str, Any]:
     """What the record of a step tells of an answer: what was spent and proven, and how sure each decision is."""
     return dict(answer.info) if answer.confidence is None else {**answer.info, "confidence": answer.confidence}
-
-
-def _among(ids: Ids, crumbs: set[int]) -> Mask:
-    """Which ids (m,) are crumbs. Looked up one by one: most steps have no scan, and m is small beside their number."""
-    found: Mask = np.array([i in crumbs for i in ids.tolist()], bool)
-    return found
 
 
 def _pair_distances(predictions: Predictions, seen: Observations, match: Ids, rows: Ids, flags: Mask) -> list[float]:

@@ -1,0 +1,134 @@
+"""What a scan says for one branch of the history against another.
+
+    log P(scan | branch) = the hypothesis' log weight, relative to all being missed  +  log P(all are missed)     `missed`
+                         + what of it is new land here, and a copy of it elsewhere                                 `level`
+
+Within a branch the second term is the same for all hypotheses, and the third is nought; between branches both tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tomthumb.branches import Child, Scan
+from tomthumb.geometry import to_frame, wrap_angle
+from tomthumb.kernels import posterior
+from tomthumb.kernels.scene import log_odds, own_gains
+from tomthumb.lifecycle import Ledger
+from tomthumb.protocols import Sensor
+from tomthumb.types import Array, AssociationProblem, Ids, Mask, Predictions
+
+if TYPE_CHECKING:
+    from tomthumb.slam import Slam
+
+ORIGIN = np.zeros(3)
+STEP, TURN = 0.05, 0.1  # of the sensor's range, and rad: poses nearer than that have looked at the same land
+FAR = 1e3  # m: a sensor without limit of range has seen all land there is
+BLOCK = 64  # poses asked at once, newest first: mostly the first of them have seen what is asked for
+
+
+def missed(predictions: Predictions, match: Ids, ledger: Ledger) -> float:
+    """log P(no prediction is seen), nats: who has much in view has much to miss. 0 where detection is not known.
+
+    What a hypothesis `match` (m,) leaves out, and the scan before did too, is no news: misses come in rows, for what is
+    hidden stays hidden for a while.
+    """
+    if predictions.visible is None or not len(predictions):
+        return 0.0
+    nats = -np.logaddexp(0.0, _odds(predictions))
+    due = np.array([ledger[i].silence == 0.0 for i in predictions.ids.tolist()], bool)
+    due[match[match >= 0]] = True
+    return float(nats[due].sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Where a branch has looked from: poses (k, 3), thinned, up to the node `upto` of its history."""
+
+    poses: Array
+    upto: Any = None
+
+    def until(self, history: Any, reach: float) -> Land:
+        """The same, up to the newest node of the history; made anew where that has been rewritten."""
+        nodes, node = [], history
+        while node is not None and node is not self.upto:
+            nodes.append(node[2])
+            node = node[0]
+        before = self.poses if node is self.upto else np.empty((0, 3))
+        return Land(_thinned(before, nodes[::-1], reach), history)
+
+    def is_new(self, points: Array, sensor: Sensor) -> Mask:
+        """Which of the points (n, 2) m have not been in view from any of the poses (n,)."""
+        new = np.ones(len(points), bool)
+        for end in range(len(self.poses), 0, -BLOCK):
+            rest = np.flatnonzero(new)
+            if not len(rest):
+                break
+            new[rest] = ~_in_view(self.poses[max(end - BLOCK, 0) : end], points[rest], sensor)
+        return new
+
+
+NOWHERE = Land(np.empty((0, 3)))
+
+
+def _thinned(before: Array, poses: Sequence[Array], reach: float) -> Array:
+    kept = list(before[-1:])
+    for pose in poses:
+        last = kept[-1] if kept else None
+        if last is None or math.dist(pose[:2], last[:2]) > reach or abs(float(wrap_angle(pose[2] - last[2]))) > TURN:
+            kept.append(pose)
+    return np.concatenate([before[:-1], np.array(kept).reshape(-1, 3)])
+
+
+def _in_view(poses: Array, points: Array, sensor: Sensor) -> Mask:
+    """Which of the points (n, 2) are in view from any of the poses (k, 3): one question, of points in the robot's frame."""
+    local = np.concatenate([to_frame(pose, points) for pose in poses])
+    chance = sensor.in_view(sensor.expect(ORIGIN, local)[0], np.full((len(local), 2), 1e-4))
+    seen: Mask = chance.reshape(len(poses), len(points)).max(0) > 0.5
+    return seen
+
+
+def level(slam: Slam, children: Sequence[Child], scan: Scan) -> None:
+    """Weighs the branches for copies, each against the best: what one finds in new land may look just as the other says."""
+    best = children[0]
+    for other in children[1:]:
+        other[0].weigh(_favour(slam, scan, other, best) - _favour(slam, scan, best, other))
+
+
+def _favour(slam: Slam, scan: Scan, new: Child, old: Child) -> float:
+    """Nats that a branch is given for what it finds in new land, where another takes it for old: as much as that one.
+
+    The sides of a cloister look alike. By Poisson's land alone each new post would tell for the branch that is one post
+    off, and nobody would ever believe to be in new land that repeats the old.
+    """
+    (branch, _, (mine, *_), _), (_, (predictions, *_), (match, *_), _) = new, old
+    rows = np.flatnonzero((mine < 0) & (match >= 0))
+    if not len(rows):
+        return 0.0
+    branch.land = (branch.land or NOWHERE).until(branch.history, STEP * min(slam.sensor.max_range, FAR))
+    points = slam.sensor.locate(slam.estimator.pose(branch.belief)[0], scan.honest.z[rows])[0]
+    rows = rows[branch.land.is_new(points, slam.sensor)]
+    return max(_worth(slam.problem(predictions, scan.honest, scan.serials), match, rows), 0.0) if len(rows) else 0.0
+
+
+def _worth(problem: AssociationProblem, match: Ids, rows: Ids) -> float:
+    """What the pairings of `rows` add to L."""
+    p, bearing = problem.predictions, bool(problem.angles)
+    odds = _odds(p)
+    own = own_gains(problem.z, problem.clutter, p.z_hat, odds if p.visible is not None else np.empty(0), bearing)
+    base = own[:, None] + odds + (0.0 if problem.evidence is None else problem.evidence)
+    given = problem.innovation, np.ascontiguousarray(p.cov), problem.R, base
+    without = match.copy()
+    without[rows] = -1
+    return float(posterior.value_of(match, *given)[0] - posterior.value_of(without, *given)[0])
+
+
+def _odds(p: Predictions) -> Array:
+    nothing = np.empty(0)
+    odds: Array = log_odds(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
+    return odds
