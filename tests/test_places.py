@@ -127,7 +127,7 @@ def test_what_is_believed_is_wrong_at_most_as_often_as_its_odds_say():
     assert near.sum() >= 8  # some of them are doubtful
     assert right[near].mean() >= np.mean(1.0 / (1.0 + np.exp(-odds[near]))) - 1.0 / near.sum()
     believed = odds >= King().lead
-    assert believed.sum() >= 50
+    assert believed.sum() >= 40
     assert right[believed].all()
 
 

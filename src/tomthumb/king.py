@@ -45,12 +45,12 @@ LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no p
 class King:
     """When a place is believed; reasons in docs/lost.md.
 
-    lead: nats by which it must outweigh all else together, one error in 100; no rival's pairs may weigh `rival` of its
+    lead: nats by which it must outweigh all else together, one error in 1000; no rival's pairs may weigh `rival` of its
     own. rare: nats against having been carried away, for a robot that has not fled. every: scans between two attempts of
     one that has.
     """
 
-    lead: float = 4.6
+    lead: float = 7.0
     rival: float = 0.8
     rare: float = 12.0
     every: int = 1
