@@ -3,7 +3,7 @@
 What was seen in the steps is laid by odometry alone, averaged for each true name, and laid on the true map: the place is
 the true one, its noise the misfit. It is distinguishable where at no other place of the map so many of these landmarks
 have anything within that noise, by a margin of `MARGIN`. A landmark that matches is worth log(1 / (2 pi s^2 density)), in these
-worlds some 3 to 4 nats: three of them make the 7 nats, one error in 1000, that the king asks for.
+worlds some 3 to 4 nats: three of them make 7 nats or more, one error in 1000 or fewer.
 """
 
 from __future__ import annotations

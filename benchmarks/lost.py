@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,9 @@ class Trial:
     steps: int | None
     right: bool
     needed: int | None
+
+
+TryOut = Callable[[Any, Scenario, Sequence[Step]], Trial]
 
 
 def main() -> None:
@@ -116,8 +119,9 @@ def in_cloister(trials: int, associator: str, seed: int, jitter: float) -> list[
     return out
 
 
-def on_dlr(trials: int, associator: str, seed: int) -> list[Trial]:
+def on_dlr(trials: int, associator: str, seed: int, try_out: TryOut | None = None) -> list[Trial]:
     """The log up to four moments; from each on a little way with the king, and back to places that were mapped."""
+    try_out = try_out or carried_away
     scenario = tomthumb.load(str(DATA / "dlr_spatial_cognition"))
     steps = list(scenario.steps)
     slam = prepare(scenario, associator=associator)
@@ -132,7 +136,7 @@ def on_dlr(trials: int, associator: str, seed: int) -> list[Trial]:
                 twin.court = Court(King())
                 for before in steps[k + 1 : k + 1 + WARM]:
                     twin.step(before.t, before.control, before.observations)
-                out.append(carried_away(twin, scenario, steps[to : to + WITHIN[-1]]))
+                out.append(try_out(twin, scenario, steps[to : to + WITHIN[-1]]))
     return out
 
 

@@ -13,7 +13,7 @@ from tomthumb.branches import told as branches_told
 from tomthumb.constellation import Fit
 from tomthumb.errors import TomThumbError
 from tomthumb.geometry import inverse, to_world
-from tomthumb.king import Exile, King, Small, _expected, small, way_home
+from tomthumb.king import Exile, King, Small, expected, small, way_home
 from tomthumb.lifecycle import Life
 from tomthumb.lookout import Keeping
 from tomthumb.metrics.evaluation import evaluate
@@ -304,16 +304,16 @@ def place_asked(gap, beside=()):
 
 
 def test_how_far_a_place_may_lie_off_is_by_the_old_maps_axes():
-    assert _expected(*place_asked([0.0, 1.5]))  # the new map's x is the old one's y
-    assert not _expected(*place_asked([1.5, 0.0]))
+    assert expected(*place_asked([0.0, 1.5]))  # the new map's x is the old one's y
+    assert not expected(*place_asked([1.5, 0.0]))
 
 
 def test_a_place_is_the_believed_one_by_most_of_its_pairs():
     elsewhere = [1.5, 0.0]
     fit, _ = place_asked(elsewhere)
     two, one = (replace(fit, match=np.array(m)) for m in ([4, 5, 9, -1], [4, 8, 9, -1]))
-    assert _expected(*place_asked(elsewhere, [two]))
-    assert not _expected(*place_asked(elsewhere, [one]))
+    assert expected(*place_asked(elsewhere, [two]))
+    assert not expected(*place_asked(elsewhere, [one]))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -45,8 +45,9 @@ LEAST = 4  # landmarks, and pairs: two give a motion, and one more would be no p
 class King:
     """When a place is believed; reasons in docs/lost.md.
 
-    lead: nats by which it must outweigh all else together; no rival's pairs may weigh `rival` of its own. rare: nats
-    against having been carried away, for a robot that has not fled. every: scans between two attempts of one that has.
+    lead: nats by which it must outweigh all else together, one error in 1000; no rival's pairs may weigh `rival` of its
+    own. rare: nats against having been carried away, for a robot that has not fled. every: scans between two attempts of
+    one that has.
     """
 
     lead: float = 7.0
@@ -133,7 +134,7 @@ def question(
     king: King, away: Exile, here: Small, guess: Guess, sensor: Sensor, detection: DetectionMap
 ) -> Question | None:
     """What there is to be searched for; None where no place, be it ever so good, could outweigh what is believed."""
-    q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
+    q, covs = here.part.landmarks, here.part.covs
     if min(len(q), len(away.old.ids)) < LEAST or not here.lately.any():
         return None
     old = stones(away.old.landmarks, away.exist)
@@ -141,30 +142,52 @@ def question(
     most = most_elsewhere(best, old, guess)
     if guess.firm and most < king.lead + guess.odds[1]:
         return None
+    asked = posed(away, here, guess, old, sensor, detection)
+    alike = copied(best, shares_at_most(covs, old.points), asked.new, old, asked.stay)
+    if guess.firm and (max(asked.stay, alike) if guess.may_walk_on else asked.stay) > most - king.lead:
+        return None
+    return asked
+
+
+def posed(away: Exile, here: Small, guess: Guess, old: Stones, sensor: Sensor, detection: DetectionMap) -> Question:
+    """The question as it is, whether or not there can be an answer."""
+    q, covs, pose = here.part.landmarks, here.part.covs, here.part.pose
     believed = compose(guess.pose, inverse(pose))
     new = ~old.cover(to_world(believed, q))
     local = Local(q, pose, view(sensor, detection, away.trail, q))
     beside = [make(q, covs, old.points, believed) for make in (fitted, standing)]
-    stay = _staying(beside, local, old, guess)
-    alike = copied(best, shares_at_most(covs, old.points), new, old, stay)
-    if guess.firm and (max(stay, alike) if guess.may_walk_on else stay) > most - king.lead:
-        return None
-    return Question(away, here, guess, old, local, believed, beside, new, stay)
+    return Question(away, here, guess, old, local, believed, beside, new, _staying(beside, local, old, guess))
 
 
 def answered(king: King, asked: Question) -> Return | None:
     """The place that outweighs all others, and that the robot is where it is believed to be, or nowhere on the map."""
-    q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
-    found = [fit for fit in fits(q, covs, old.points, asked.believed) if fit.votes >= LEAST]
-    rest = [asked.stay if guess.firm else bare(asked.local, old, guess), guess.odds[1]]
-    if guess.may_walk_on:
-        rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
-    chosen = clear(weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest)), king.lead)
-    if chosen is None or not _is_here(found[chosen], asked.here.lately) or _rivalled(king, found, chosen):
+    found = found_for(asked)
+    chosen = clear(*weights(found, asked), king.lead)
+    if chosen is None or not holds(king, found, chosen, asked):
         return None
     fit = found[chosen]
     named = np.where(fit.match >= 0, asked.away.old.ids[fit.match], -1)
-    return Return(fit, asked.here.part.ids, named, _expected(fit, asked))
+    return Return(fit, asked.here.part.ids, named, expected(fit, asked))
+
+
+def found_for(asked: Question) -> list[Fit]:
+    """The places that are weighed."""
+    fitting = fits(asked.local.q, asked.here.part.covs, asked.old.points, asked.believed)
+    return [fit for fit in fitting if fit.votes >= LEAST]
+
+
+def weights(found: Sequence[Fit], asked: Question) -> tuple[Array, float]:
+    """Log weights (f,) of the places, and of all else together: the believed place, as it is or as a copy, and nowhere."""
+    q, covs, old, guess = asked.local.q, asked.here.part.covs, asked.old, asked.guess
+    rest = [asked.stay if guess.firm else bare(asked.local, old, guess), guess.odds[1]]
+    if guess.may_walk_on:
+        rest += [copied(fit, shares(fit, q, covs, old.points), asked.new, old, asked.stay) for fit in found]
+    return weighed(found, asked.local, old, guess), float(np.logaddexp.reduce(rest))
+
+
+def holds(king: King, found: Sequence[Fit], chosen: int, asked: Question) -> bool:
+    """Whether what a place explains is where the robot is now, and no other place explains as much."""
+    return _is_here(found[chosen], asked.here.lately) and not _rivalled(king, found, chosen)
 
 
 def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> float:
@@ -173,7 +196,7 @@ def _staying(beside: Sequence[Fit], local: Local, old: Stones, guess: Guess) -> 
     return float(max([bare(local, old, guess), *best]))
 
 
-def _expected(fit: Fit, asked: Question) -> bool:
+def expected(fit: Fit, asked: Question) -> bool:
     """Whether a place is the one where the robot is believed to be: within the gate of its pose, or by the same pairs."""
     pose, cov = pose_home(fit, asked.local.pose, asked.here.part.pose_cov)
     gap = pose - asked.guess.pose

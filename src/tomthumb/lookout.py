@@ -18,7 +18,7 @@ import numpy as np
 
 from tomthumb.branches import CERTAIN, Branch, told
 from tomthumb.errors import Diverged, TomThumbError
-from tomthumb.king import Exile, King, Return, answered, left_behind, question, small
+from tomthumb.king import Exile, King, Return, Small, answered, left_behind, question, small
 from tomthumb.places import Guess
 from tomthumb.revision import Moment, apart_from
 from tomthumb.types import Array, Control, Estimate
@@ -160,7 +160,16 @@ def _loop(slam: Slam, since: Note) -> Slam:
 
 
 def ask(walker: Walker, slam: Slam, king: King, whole: Estimate) -> Found | None:
-    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes.
+    """The place that a brother has found, if it is another one than the family believes; `whole`: what it believes."""
+    away, mine, guess = asked_of(walker, slam, king, whole)
+    asked = question(king, away, mine, guess, slam.sensor, slam.detection)
+    walker.unsettled = asked is not None
+    way = None if asked is None else answered(king, asked)
+    return None if way is None or way.expected else Found(way, walker, away)
+
+
+def asked_of(walker: Walker, slam: Slam, king: King, whole: Estimate) -> tuple[Exile, Small, Guess]:
+    """The old map that a brother is asked about, his own, and where the family believes to be.
 
     He set out up to `every` scans after the robot was carried away. What the family has founded since then stands
     where it would have it, be it right or wrong, and says nothing of which it is: that is not asked.
@@ -172,11 +181,7 @@ def ask(walker: Walker, slam: Slam, king: King, whole: Estimate) -> Found | None
     away.trail = walker.trail
     here = walker.loop.estimator.estimate(walker.branch.belief)
     guess = Guess(whole.pose, whole.pose_cov, 1.0 - math.exp(-king.rare), slam.court.watch.doubtful)
-    mine = small(here, walker.branch.ledger, slam.scan)
-    asked = question(king, away, mine, guess, slam.sensor, slam.detection)
-    walker.unsettled = asked is not None
-    way = None if asked is None else answered(king, asked)
-    return None if way is None or way.expected else Found(way, walker, away)
+    return away, small(here, walker.branch.ledger, slam.scan), guess
 
 
 def spliced(home: Branch, walker: Walker, index: int) -> Branch:

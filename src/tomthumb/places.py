@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tomthumb.constellation import Fit, density
-from tomthumb.geometry import compose, inverse, to_frame, to_world, wrap_angle
+from tomthumb.geometry import compose, compose_jacobians, inverse, to_frame, to_world, wrap_angle
 from tomthumb.protocols import Sensor
 from tomthumb.sensing import DetectionMap
 from tomthumb.types import Array, Mask
@@ -217,10 +217,12 @@ def _occam_anywhere(fit: Fit, old: Stones) -> float:
 
 
 def _occam_here(fit: Fit, local: Local, guess: Guess) -> float:
-    """The same where the poses are those that the robot believes in."""
+    """The same where the poses are those that the robot believes in: of the robot, not of the origin of its local map."""
     gap = compose(fit.motion, local.pose) - guess.pose
     gap[2] = wrap_angle(gap[2])
+    by_fit = compose_jacobians(fit.motion, local.pose)[0]
+    cov = by_fit @ fit.cov @ by_fit.T
     metres, radians = DRIFT
-    spread = 9.0 * guess.cov + np.diag([metres, metres, radians]) ** 2 + fit.cov
-    volume = 0.5 * (np.linalg.slogdet(fit.cov)[1] - np.linalg.slogdet(spread)[1])
+    spread = 9.0 * guess.cov + np.diag([metres, metres, radians]) ** 2 + cov
+    volume = 0.5 * (np.linalg.slogdet(cov)[1] - np.linalg.slogdet(spread)[1])
     return float(min(volume, 0.0) - 0.5 * gap @ np.linalg.solve(spread, gap))
