@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tomthumb.branches import Child, Scan
+from tomthumb.branches import Branch, Child, Scan
 from tomthumb.geometry import to_frame, wrap_angle
 from tomthumb.kernels import posterior
 from tomthumb.kernels.scene import log_odds, own_gains
@@ -42,7 +42,6 @@ def missed(predictions: Predictions, match: Ids, ledger: Ledger) -> float:
         return 0.0
     nats = -np.logaddexp(0.0, _odds(predictions))
     due = np.array([ledger[i].silence == 0.0 for i in predictions.ids.tolist()], bool)
-    due[match[match >= 0]] = True
     return float(nats[due].sum())
 
 
@@ -106,14 +105,22 @@ def _favour(slam: Slam, scan: Scan, new: Child, old: Child) -> float:
     The sides of a cloister look alike. By Poisson's land alone each new post would tell for the branch that is one post
     off, and nobody would ever believe to be in new land that repeats the old.
     """
-    (branch, _, (mine, *_), _), (_, (predictions, *_), (match, *_), _) = new, old
+    (branch, _, (mine, *_), _), (other, (predictions, *_), (match, *_), _) = new, old
     rows = np.flatnonzero((mine < 0) & (match >= 0))
-    if not len(rows):
-        return 0.0
-    branch.land = (branch.land or NOWHERE).until(branch.history, STEP * min(slam.sensor.max_range, FAR))
-    points = slam.sensor.locate(slam.estimator.pose(branch.belief)[0], scan.honest.z[rows])[0]
-    rows = rows[branch.land.is_new(points, slam.sensor)]
+    if len(rows):
+        rows = rows[_elsewhere(slam, branch, other, scan.honest.z[rows])]
     return max(_worth(slam.problem(predictions, scan.honest, scan.serials), match, rows), 0.0) if len(rows) else 0.0
+
+
+def _elsewhere(slam: Slam, branch: Branch, other: Branch, z: Array) -> Mask:
+    """Which observations (k, 2) lie in new land by the one branch, and at another place by the other."""
+    here, there = (slam.sensor.locate(slam.estimator.pose(b.belief)[0], z)[0] for b in (branch, other))
+    reach = STEP * min(slam.sensor.max_range, FAR)
+    apart: Mask = np.hypot(*(here - there).T) > reach
+    if apart.any():
+        branch.land = (branch.land or NOWHERE).until(branch.history, reach)
+        apart[apart] = branch.land.is_new(here[apart], slam.sensor)
+    return apart
 
 
 def _worth(problem: AssociationProblem, match: Ids, rows: Ids) -> float:
