@@ -28,11 +28,13 @@ MAY = {
     "twins": BASE | {"lifecycle", "sensing"},
     "doubt": BASE | {"lifecycle"},
     "returns": BASE | {"branches", "graves", "lifecycle"},
+    "copies": BASE | {"branches", "slam"},  # the loop for its type only
     "slam": BASE
     | {
         "appearance",
         "branches",
         "checks",
+        "copies",
         "court",
         "doubt",
         "king",

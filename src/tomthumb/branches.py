@@ -23,7 +23,7 @@ class Branch:
     """One history of associations: its belief, what its landmarks have lived through, and how likely it is.
 
     trials: how those of its crumbs ended; untried: what was made a stone before its own.
-    land: where it has looked from, as far as that was asked for (`evidence.Land`).
+    land: where it has looked from, as far as that was asked for (`copies.Land`).
     `log_weight` is relative to the best branch, `evidence` the sum of all its hypotheses' log weights.
     """
 

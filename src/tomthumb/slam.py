@@ -18,10 +18,10 @@ from tomthumb import lifecycle
 from tomthumb.appearance import Crowd, Looks, weigh, with_looks
 from tomthumb.branches import Branch, Child, Scan, among, apart, ranked
 from tomthumb.checks import check_step
+from tomthumb.copies import level
 from tomthumb.court import Court
 from tomthumb.doubt import mostly_stands, put_on_trial, untried_of
 from tomthumb.errors import Diverged
-from tomthumb.evidence import level, missed
 from tomthumb.geometry import wrapped
 from tomthumb.kernels.gates import innovations, paired_distances
 from tomthumb.king import King
@@ -67,7 +67,7 @@ class Slam:
         estimator: Estimator[Any],
         *,
         policy: LifeCycle | None = None,
-        width: int = 1,
+        width: int = 8,
         teacher: Associator | None = None,
         teach_steps: int = 0,
         rng: tuple[Rng, Rng] | None = None,
@@ -187,7 +187,7 @@ class Slam:
         some = found[0][: self.width if several else 1]
         parents = [branch, *(self._fork(branch) for _ in some[1:])]
         for child, hypothesis in zip(parents, some, strict=True):
-            child.weigh(hypothesis.log_weight + missed(every[0], hypothesis.match, branch.ledger))
+            child.weigh(hypothesis.log_weight)
         others = [f[0].match for f in found[1:]]
         return [(c, every, [h.match, *others], _spent(h)) for c, h in zip(parents, some, strict=True)]
 

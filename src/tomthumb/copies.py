@@ -1,9 +1,8 @@
-"""What a scan says for one branch of the history against another.
+"""New land may look just like old: then it tells nothing between a branch that is there and one that is back in the old.
 
-    log P(scan | branch) = the hypothesis' log weight, relative to all being missed  +  log P(all are missed)     `missed`
-                         + what of it is new land here, and a copy of it elsewhere                                 `level`
-
-Within a branch the second term is the same for all hypotheses, and the third is nought; between branches both tell.
+Eight brothers are weighed by what they explain, and a pairing is worth nats, a new landmark none. In a world that repeats itself
+a brother one post back finds an old post wherever the right one finds a new one, and would win by that alone. So what a
+branch finds in land that it has never looked at counts for it as much as for who takes it for old.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from tomthumb.branches import Branch, Child, Scan
 from tomthumb.geometry import to_frame, wrap_angle
 from tomthumb.kernels import posterior
 from tomthumb.kernels.scene import log_odds, own_gains
-from tomthumb.lifecycle import Ledger
 from tomthumb.protocols import Sensor
 from tomthumb.types import Array, AssociationProblem, Ids, Mask, Predictions
 
@@ -30,19 +28,6 @@ ORIGIN = np.zeros(3)
 STEP, TURN = 0.05, 0.1  # of the sensor's range, and rad: poses nearer than that have looked at the same land
 FAR = 1e3  # m: a sensor without limit of range has seen all land there is
 BLOCK = 64  # poses asked at once, newest first: mostly the first of them have seen what is asked for
-
-
-def missed(predictions: Predictions, match: Ids, ledger: Ledger) -> float:
-    """log P(no prediction is seen), nats: who has much in view has much to miss. 0 where detection is not known.
-
-    What a hypothesis `match` (m,) leaves out, and the scan before did too, is no news: misses come in rows, for what is
-    hidden stays hidden for a while.
-    """
-    if predictions.visible is None or not len(predictions):
-        return 0.0
-    nats = -np.logaddexp(0.0, _odds(predictions))
-    due = np.array([ledger[i].silence == 0.0 for i in predictions.ids.tolist()], bool)
-    return float(nats[due].sum())
 
 
 @dataclass(frozen=True, slots=True)
