@@ -125,7 +125,7 @@ def test_people_of_the_first_scan_do_not_spoil_the_loop() -> None:
     """Seeds in which first-scan people were taken for landmarks when the loop closed."""
     rates = {}
     for doubt in (0.0, POLICY.doubt):
-        settings = {"slam": {"doubt": doubt}}
+        settings = {"slam": {"doubt": doubt, "width": 1, "present": False}}
         runs = [(cloister(np.random.default_rng(seed), people=30), seed) for seed in (1118, 1197)]
         found = [evaluate(run(s, associator="stt", seed=seed, settings=settings), s) for s, seed in runs]
         rates[doubt] = np.mean([e["match_rate"] for e in found])

@@ -45,9 +45,9 @@ def test_existence_rises_with_hits_and_falls_with_opportunities():
 def test_with_present_a_stone_is_there_until_it_is_absent_and_a_crumb_as_often_as_it_is_seen():
     ledger = {0: Life(0, hits=10, chances=20, silence=2.9), 1: Life(0, hits=10, chances=20, silence=3.0)}
     share, two = ledger[0].exist, [[0, 0], [5, 0]]
-    told = [lifecycle.with_existence(expected(two), ledger, LifeCycle(present=p)).exist for p in (False, True)]
+    told = [lifecycle.with_existence(expected(two), ledger, p).exist for p in (False, True)]
     assert [t.tolist() for t in told] == [[share, share], [lifecycle.SURE, share]]
-    crumbs = lifecycle.with_existence(expected(two, stone=False), ledger, LifeCycle(present=True))
+    crumbs = lifecycle.with_existence(expected(two, stone=False), ledger, True)
     assert crumbs.exist.tolist() == [share, share]
 
 

@@ -21,9 +21,12 @@ def begun(steps: int, revision: int = 0, **options):
     return slam, scenario.steps[steps:]
 
 
-def run(seed: int, window: int, bent: float = 1.0, **options):
+ONE_HISTORY = {"width": 1, "present": False}
+
+
+def run(seed: int, window: int, bent: float = 1.0, alone: bool = False, **options):
     scenario = cloister(np.random.default_rng(seed), **options)
-    settings = {"slam": {"revision": window}, "associator": {"bent": bent}}
+    settings = {"slam": {"revision": window} | (ONE_HISTORY if alone else {}), "associator": {"bent": bent}}
     slam = prepare(scenario, associator="stt", seed=seed, settings=settings)
     trace = collect(scenario.name, slam, list(slam.stream(scenario.steps)))
     return trace, slam, evaluate(trace, scenario)
@@ -53,10 +56,10 @@ def test_where_all_is_well_nothing_is_revised():
 
 
 def test_a_turn_of_the_evidence_is_followed_back():
-    """Odometry eight times as noisy as in the reference, and all scans linearised: some of the first choices are wrong and are
-    taken back.
+    """Odometry eight times as noisy as in the reference, all scans linearised, and no brothers: some of the first choices are
+    wrong and are taken back.
     """
-    options = {"odometry_noise": 8.0, "laps": 2, "bent": 1e9}
+    options = {"odometry_noise": 8.0, "laps": 2, "bent": 1e9, "alone": True}
     trace, slam, row = run(2, 20, **options)
     _, _, before = run(2, 0, **options)
     assert slam.revision.revised > 0

@@ -28,7 +28,8 @@ class LifeCycle:
 
     hits: static sightings that turn a crumb into a stone (1: at once); `few` are enough while a scan shows less than
     `anchors` stones, for then the pose hangs in the air. patience: scans a crumb may stay unseen. doubt: what was made a
-    stone with less goes back on trial where a smaller share of trials than this ends in a stone (0: never, see `doubt`).
+    stone with less goes back on trial where a smaller share of trials than this ends in a stone (0: never, see `doubt`), and
+    only where a larger one does are there brothers, and `present`.
     gate: a sighting within it is static. still: a crumb whose sightings drift outside this gate begins its trial anew (0: never
     asked). apart: an observation outside it of every free landmark may found a new one.
     purge, trial: a stone seen in less than `purge` of at least `trial` good opportunities is gone, unless proven: seen
