@@ -26,35 +26,44 @@ if TYPE_CHECKING:
 
 ORIGIN = np.zeros(3)
 STEP, TURN = 0.05, 0.1  # of the sensor's range, and rad: poses nearer than that have looked at the same land
-FAR = 1e3  # m: a sensor without limit of range has seen all land there is
+FAR = 1e3  # m, for the range of a sensor that has no limit
 BLOCK = 64  # poses asked at once, newest first: mostly the first of them have seen what is asked for
 
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Where a branch has looked from: poses (k, 3), thinned, up to the node `upto` of its history."""
+    """Where a branch has looked from: poses (k, 3) of its scans, thinned, up to the node `upto` of its history."""
 
     poses: Array
     upto: Any = None
 
-    def until(self, history: Any, reach: float) -> Land:
-        """The same, up to the newest node of the history; made anew where that has been rewritten."""
-        nodes, node = [], history
+    def until(self, history: Any, scans: int, reach: float) -> Land:
+        """The same, up to the newest node of the history, of `scans` scans; made anew where that has been rewritten."""
+        poses, node = [], history
         while node is not None and node is not self.upto:
-            nodes.append(node[2])
-            node = node[0]
-        before = self.poses if node is self.upto else np.empty((0, 3))
-        return Land(_thinned(before, nodes[::-1], reach), history)
+            earlier, _, pose, before = node
+            if before < scans:  # else nothing but a control came then: nobody has looked
+                poses.append(pose)
+            node, scans = earlier, before
+        kept = self.poses if node is self.upto else np.empty((0, 3))
+        return Land(_thinned(kept, poses[::-1], reach), history)
 
     def is_new(self, points: Array, sensor: Sensor) -> Mask:
         """Which of the points (n, 2) m have not been in view from any of the poses (n,)."""
-        new = np.ones(len(points), bool)
-        for end in range(len(self.poses), 0, -BLOCK):
+        new, near = np.ones(len(points), bool), self._near(points, sensor)
+        for end in range(len(near), 0, -BLOCK):
             rest = np.flatnonzero(new)
             if not len(rest):
                 break
-            new[rest] = ~_in_view(self.poses[max(end - BLOCK, 0) : end], points[rest], sensor)
+            new[rest] = ~_in_view(near[max(end - BLOCK, 0) : end], points[rest], sensor)
         return new
+
+    def _near(self, points: Array, sensor: Sensor) -> Array:
+        """The poses from which the sensor reaches to one of the points (n, 2)."""
+        reach = sensor.max_range + float(np.hypot(*sensor.frame(ORIGIN)[:2]))
+        apart = np.hypot(*(self.poses[:, None, :2] - points).transpose(2, 0, 1))
+        near: Array = self.poses[apart.min(1, initial=np.inf) <= reach]
+        return near
 
 
 NOWHERE = Land(np.empty((0, 3)))
@@ -81,7 +90,7 @@ def level(slam: Slam, children: Sequence[Child], scan: Scan) -> None:
     """Weighs the branches for copies, each against the best: what one finds in new land may look just as the other says."""
     best = children[0]
     for other in children[1:]:
-        other[0].weigh(_favour(slam, scan, other, best) - _favour(slam, scan, best, other))
+        other[0].log_weight += _favour(slam, scan, other, best) - _favour(slam, scan, best, other)
 
 
 def _favour(slam: Slam, scan: Scan, new: Child, old: Child) -> float:
@@ -103,7 +112,7 @@ def _elsewhere(slam: Slam, branch: Branch, other: Branch, z: Array) -> Mask:
     reach = STEP * min(slam.sensor.max_range, FAR)
     apart: Mask = np.hypot(*(here - there).T) > reach
     if apart.any():
-        branch.land = (branch.land or NOWHERE).until(branch.history, reach)
+        branch.land = (branch.land or NOWHERE).until(branch.history, slam.scan, reach)
         apart[apart] = branch.land.is_new(here[apart], slam.sensor)
     return apart
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tomthumb.doubt import Trials
 from tomthumb.errors import TomThumbError
 from tomthumb.lifecycle import Life, LifeCycle
 from tomthumb.slam import Slam
@@ -33,6 +34,7 @@ def start_in(slam: Slam, known: Estimate, frozen: bool = False) -> dict[int, int
     branch.belief = slam.estimator.place(branch.belief, ids, points, covs)
     for i in ids.tolist():
         branch.ledger[i] = Life(0, hits=SIGHTINGS, chances=SIGHTINGS, static=slam.policy.hits, born=LONG_AGO)
+    branch.trials = Trials(stood=len(points))
     return dict(zip(known.ids[known.stone].tolist(), ids.tolist(), strict=True))
 
 

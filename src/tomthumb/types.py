@@ -225,7 +225,8 @@ class AssociationProblem:
 
 @dataclass(frozen=True, slots=True)
 class Association:
-    """One hypothesis: `match (m,)` column of the predictions or -1; `log_weight` relative to the others returned.
+    """One hypothesis: `match (m,)` column of the predictions or -1; `log_weight`, nats beyond nothing being paired, by which
+    the branches of a history are weighed.
 
     `info` says what was spent and proven: nodes, flights, "optimal" or "truncated"; `confidence (m,)` is the
     probability that each decision is right, where the associator knows it.

@@ -149,7 +149,7 @@ def test_no_turn_is_too_large_for_the_curved_window():
         right = 0
         for seed in range(5):
             problem, truth = turned_scan(np.random.default_rng(seed), 6, degrees)
-            near = curved_window(problem, rigid(problem, *base_gains(problem, None)), 1.0 - 1e-6)
+            near = curved_window(rigid(problem, *base_gains(problem, None)), 1.0 - 1e-6)
             assert all(truth[i] in near.columns[near.start[i] : near.start[i + 1]] for i in range(6))
             right += int((TomThumb().associate(problem, np.random.default_rng(0))[0].match == truth).sum())
         assert right >= 28
@@ -213,9 +213,9 @@ def test_in_the_curved_window_labels_still_rule_out():
     labels, theirs = np.zeros(6, np.int64), np.arange(14) % 2
     told = replace(problem, labels=labels, predictions=replace(problem.predictions, labels=theirs))
     s = rigid(told, *base_gains(told, None))
-    near = curved_window(told, s, 1.0 - 1e-6)
+    near = curved_window(s, 1.0 - 1e-6)
     assert set(theirs[near.columns]) == {0}
-    every = curved_window(problem, rigid(problem, *base_gains(problem, None)), 1.0 - 1e-6)
+    every = curved_window(rigid(problem, *base_gains(problem, None)), 1.0 - 1e-6)
     assert len(near.columns) < len(every.columns)
 
 

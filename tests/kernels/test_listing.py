@@ -217,7 +217,7 @@ def test_votes_by_a_table_of_what_is_near_are_those_without():
     for scan in scans("lost", 12, 8, 3):
         problem = scan.problem()
         s = rigid(problem, *base_gains(problem, None))
-        near = curved_window(problem, s, WIDE)
+        near = curved_window(s, WIDE)
         W, gain, worth, cell, apart, pairs, tolerance = flights.ready(s.q, s.R, s.D, s.base, s.odds, near.counts, 15)
         grid = fill_grid(s.p, cell)
         side, table = flights.nearness(s.p, *grid[:3], pairs, near.counts)

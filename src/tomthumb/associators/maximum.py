@@ -22,7 +22,7 @@ class MaximumPosterior:
 
     D2 and S are joint over all pairs. Every pairing lies within `gate` by itself, there is no joint test. `budget`
     bounds the nodes (0: no limit); `info` tells the nodes, the value reached and whether it is "optimal" or
-    "truncated". `hypotheses` are returned at most, those within `slack` nats of the best, with relative log weights.
+    "truncated". `hypotheses` are returned at most, those within `slack` nats of the best, weighed by their L.
     """
 
     gate: float = 1.0 - 1e-6
@@ -47,7 +47,7 @@ class MaximumPosterior:
         )  # fmt: skip
         info = {"nodes": nodes, "proof": "optimal" if proven else "truncated", "objective": float(values[0])}
         kept = np.flatnonzero(np.isfinite(values) & (values >= values[0] - self.slack))
-        return [Association(pool[k], float(values[k] - values[0]), info) for k in kept[: self.hypotheses]]
+        return [Association(pool[k], float(values[k]), info) for k in kept[: self.hypotheses]]
 
     def learn(self, ids: Ids, t: float) -> None:
         """Nothing to learn."""

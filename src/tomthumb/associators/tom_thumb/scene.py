@@ -98,7 +98,7 @@ def window(d2: Array, gate: float) -> Window:
     return Window(*kernel.candidates(d2, gate_of_two(gate)))
 
 
-def curved_window(problem: AssociationProblem, s: Rigid, gate: float) -> Window:
+def curved_window(s: Rigid, gate: float) -> Window:
     """Every landmark within `gate` of each observation, nearest first, by the best motion of each pairing: not linearised."""
     allowed = NO_LABELS if s.allowed is None else s.allowed
     return Window(*arcs.by_itself(s.q, s.R, s.p, s.D, s.Xi, gate_of_two(gate), allowed))

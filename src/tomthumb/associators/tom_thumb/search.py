@@ -224,7 +224,7 @@ class TomThumb:
         for remainder in (REMAINDER, LOOSE):
             scene = rigid(problem, own, odds, remainder)
             if scene is not None:
-                near = curved_window(problem, scene, self.gates[1])
+                near = curved_window(scene, self.gates[1])
                 return self._over_poses(problem, scene, near, [], NOTHING_YET, rng)
         return None
 
