@@ -1,11 +1,11 @@
 """Where two associators differ on a log: every problem of one's run is put to the other too, and both held against the truth.
 
-    python benchmarks/second_opinion.py LOG [--first stt] [--second jcbb] [--set slam.present=true] [--shaken N]
+    python benchmarks/second_opinion.py LOG [--first stt] [--second jcbb] [--set slam.present=false] [--shaken N [--dropped .03]]
 
 LOG as `tomthumb run` takes it, with labels. A landmark is what most of its sightings so far were of; to leave an observation
 unpaired is right where no landmark of the map is that. Then the first one's confidence: of decisions of some confidence, how
-many are right. With --shaken the run is also made N times with every sighting moved by a tenth of its noise: match rate, IDF1
-and ATE of both, mean and standard error.
+many are right. With --shaken the run is also made N times with every sighting moved by a tenth of its noise, and a share of
+them --dropped: match rate, IDF1 and ATE of both, mean and standard error.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tomthumb.cli.common import read_settings
 from tomthumb.errors import TomThumbError
 from tomthumb.protocols import Associator, Rng
 from tomthumb.runner import Settings, prepare
-from tomthumb.types import Array, Association, AssociationProblem, Ids, Scenario
+from tomthumb.types import Array, Association, AssociationProblem, Ids, Mask, Scenario, Step
 
 SHARE = 0.1  # of the noise, by which sightings are moved
 LEVELS = (0.5, 0.9, 0.99)
@@ -57,7 +57,7 @@ def verdicts(
     slam.associator = witness = Witness(slam.associator, prepare(scenario, associator=second).associator)
     truth, seen = scenario.true_ids(), defaultdict[int, Counter[int]](Counter)
     for record in slam.stream(scenario.steps):
-        for problem, mine, other in witness.noted:
+        for problem, mine, other in witness.noted[:1]:  # that of the branch that led before the scan
             what = {int(i): seen[int(i)].most_common(1)[0][0] for i in problem.predictions.ids if seen[int(i)]}
             there = set(what.values())
             sure = np.ones(len(mine.match)) if mine.confidence is None else mine.confidence
@@ -87,21 +87,31 @@ def compared(found: Array, first: str, second: str) -> Iterator[str]:
             yield f"{name}, {low:.0%} to {high:.0%} sure: {int(one[those].sum())} of {int(those.sum())} right"
 
 
-def shaken(scenario: Scenario, seed: int) -> Scenario:
-    """The same log with every sighting moved by a share of its noise."""
+def shaken(scenario: Scenario, seed: int, dropped: float = 0.0) -> Scenario:
+    """The same log with every sighting moved by a share of its noise, and some of them `dropped`."""
     rng, steps = np.random.default_rng(seed), []
     for step in scenario.steps:
         seen = step.observations
         if seen is not None and len(seen):
             noise = np.linalg.cholesky(seen.R) @ rng.standard_normal((len(seen), 2, 1))
             step = replace(step, observations=replace(seen, z=seen.z + SHARE * noise[..., 0]))
+            step = without(step, rng.random(len(seen)) < dropped) if dropped > 0.0 else step
         steps.append(step)
     return replace(scenario, steps=steps)
 
 
-def repeated(scenario: Scenario, who: str, runs: int, settings: Settings) -> str:
+def without(step: Step, gone: Mask) -> Step:
+    """A step without the sightings that are `gone` (m,), and what is known of them."""
+    kept, truth = np.flatnonzero(~gone), step.truth
+    assert step.observations is not None
+    if truth is not None and truth.ids is not None:
+        truth = replace(truth, ids=truth.ids[kept])
+    return replace(step, observations=step.observations.take(kept), truth=truth)
+
+
+def repeated(scenario: Scenario, who: str, runs: int, settings: Settings, dropped: float = 0.0) -> str:
     """One line: means and standard errors over shaken runs."""
-    worlds = [shaken(scenario, seed) for seed in range(runs)]
+    worlds = [shaken(scenario, seed, dropped) for seed in range(runs)]
     rows = [tomthumb.evaluate(tomthumb.run(w, associator=who, settings=settings), w) for w in worlds]
     parts: list[str] = []
     for key, scale, unit in (("match_rate", 100.0, "%"), ("idf1", 100.0, "%"), ("ate_m", 1.0, "m")):
@@ -111,7 +121,7 @@ def repeated(scenario: Scenario, who: str, runs: int, settings: Settings) -> str
     return f"{who}, {runs} times shaken: " + ", ".join(parts)
 
 
-def told(log: str, first: str, second: str, sets: Sequence[str], runs: int) -> Iterator[str]:
+def told(log: str, first: str, second: str, sets: Sequence[str], runs: int, dropped: float = 0.0) -> Iterator[str]:
     """All lines. Raises TomThumbError for a log without labels, and for what `tomthumb run` would refuse."""
     given = read_settings(None, list(sets))
     settings: Settings = {part: given.get(part, {}) for part in ("associator", "estimator", "slam")}
@@ -121,7 +131,7 @@ def told(log: str, first: str, second: str, sets: Sequence[str], runs: int) -> I
         raise TomThumbError(f"{log}: no sighting has a label to judge by")
     yield from compared(np.array(found, float), first, second)
     if runs:
-        yield from (repeated(scenario, who, runs, its) for who, its in ((first, settings), (second, {})))
+        yield from (repeated(scenario, who, runs, its, dropped) for who, its in ((first, settings), (second, {})))
 
 
 def main() -> None:
@@ -133,11 +143,14 @@ def main() -> None:
         "--set", dest="sets", action="append", default=[], help="of the first, as `tomthumb run` takes them"
     )
     parser.add_argument("--shaken", type=int, default=0, metavar="N")
+    parser.add_argument("--dropped", type=float, default=0.0, metavar="SHARE", help="of the sightings of a shaken run")
     options = parser.parse_args()
     if options.shaken < 0:
         parser.error(f"--shaken {options.shaken}: a number from 0 on")
+    if not 0.0 <= options.dropped < 1.0:
+        parser.error(f"--dropped {options.dropped}: a share, from 0 to below 1")
     try:
-        for line in told(options.log, options.first, options.second, options.sets, options.shaken):
+        for line in told(options.log, options.first, options.second, options.sets, options.shaken, options.dropped):
             print(line, flush=True)
     except TomThumbError as error:
         sys.exit(_refused(error))

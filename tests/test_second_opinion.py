@@ -44,6 +44,14 @@ def test_a_shaken_log_is_moved_by_a_share_of_its_noise() -> None:
     assert np.mean(d2) == pytest.approx(2.0 * SHARE**2, rel=0.1)
 
 
+def test_what_is_dropped_is_gone_with_what_is_known_of_it() -> None:
+    still = tomthumb.load("cloister", seed=2)
+    fewer = shaken(still, 1, dropped=0.25)
+    before, after = still.true_ids(), fewer.true_ids()
+    assert len(after) == sum(len(s.observations) for s in fewer.steps if s.observations is not None)
+    assert len(after) == pytest.approx(0.75 * len(before), rel=0.1)
+
+
 def test_what_cannot_be_judged_is_one_clear_line() -> None:
     for log, second, says in (("nosuch", "jcbb", "unknown scenario"), ("cloister", "nosuch", "unknown associator")):
         with pytest.raises(TomThumbError, match=says):
