@@ -287,8 +287,7 @@ class Slam:
         if (named[0] >= 0).all() and len(named) == 1:
             return nobody >= 0, nobody
         fresh = self.estimator.expect(branch.belief)
-        best = branch is self.branches[0]
-        told = [self._unexplained(p, ids, scan, best) for p, ids in zip(fresh, named, strict=True)]
+        told = [self._unexplained(p, ids, scan) for p, ids in zip(fresh, named, strict=True)]
         founded = [founders for founders, _ in told]
         branch.belief = self.estimator.add(branch.belief, scan.raw, founded, self.rng_estimator)
         for row in np.flatnonzero(np.max(founded, axis=0) >= 0):
@@ -297,16 +296,13 @@ class Slam:
             branch.crumbs.add(int(scan.serials[row]))
         return founded[0] >= 0, told[0][1]
 
-    def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan, best: bool) -> tuple[Ids, Ids]:
-        """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1.
-
-        The `best` branch tells how honest the noise is.
-        """
+    def _unexplained(self, predictions: Predictions, ids: Ids, scan: Scan) -> tuple[Ids, Ids]:
+        """What becomes of observations that the associator left: founders of a crumb (m,) and late names (m,), or -1."""
         rows = np.flatnonzero(ids < 0)
         loose = self.problem(predictions, scan.honest.take(rows), scan.serials[rows])
         taken = np.isin(predictions.ids, ids[ids >= 0])
         new = lifecycle.may_be_born(loose.d2, taken, self.policy)
-        if not new.all() and best:
+        if not new.all():
             raw = self.problem(predictions, scan.raw.take(rows[~new]), scan.serials[rows[~new]])
             self.surprise.record(np.where(taken, np.inf, raw.d2).min(1).tolist())
         founders, late = np.full(len(scan), -1, np.int64), np.full(len(scan), -1, np.int64)
