@@ -54,10 +54,10 @@ LOGS = {
     "cones Testing4_9": "{}/fs_driverless_prom_ntua?log=Testing4_9",
 }
 AMBIGUOUS = ["lost_in_the_woods, 2 m", "lost_in_the_woods, 1 m", *(f"mrclam 7, robot {k}" for k in range(1, 6))]
-ALONE = {f"{name}, no brothers": name for name in AMBIGUOUS}  # of STT alone: the others have one answer as it is
-LOGS |= {row: LOGS[name] for row, name in ALONE.items()}
+BROTHERS = {f"{name}, eight brothers": name for name in AMBIGUOUS}  # of STT alone: the others have one answer
+LOGS |= {row: LOGS[name] for row, name in BROTHERS.items()}
 SETTINGS: dict[str, Settings] = {"dlr, with the scout": {"slam": {"loops": True}}}
-SETTINGS |= {row: {"associator": {"brothers": 1}, "slam": {"width": 1, "present": False}} for row in ALONE}
+SETTINGS |= {row: {"associator": {"brothers": 8}, "slam": {"width": 8, "present": True}} for row in BROTHERS}
 BEGIN, END = "<!-- table: benchmarks/logs_table.py -->", "<!-- end of table -->"
 HEAD = "| log | associator | match rate % | IDF1 % | purity % | duplicates | landmarks | ATE m | GPS m | x real time | failure |"
 
@@ -150,7 +150,7 @@ def main() -> None:
         for associator in wanted:
             if associator == "oracle" and (not labelled or name in SETTINGS):  # an oracle misses no loop
                 continue
-            if associator != "stt" and name in ALONE:
+            if associator != "stt" and name in BROTHERS:
                 continue
             row = bounded(scenario, associator, options.seed, SETTINGS.get(name, {}), limit) | {"code": code}
             kept[f"{name}|{associator}"] = row

@@ -34,7 +34,6 @@ NO_LIMIT = 2**62
 GATES = (0.95, 0.99, 0.999, 0.9999)
 SECTOR_SIZES, CLOUD_SIZES = (5, 10, 20, 50, 100), (16, 32, 64)
 BEGIN, END = "<!-- single_scan: written by benchmarks/single_scan.py -->", "<!-- end of single_scan -->"
-ALONE: dict[str, float] = {"brothers": 1}  # one scan: nothing to carry on, and the others have one answer each
 FEW = 16  # observations up to which a cell has `--small` problems: one scan more or less right counts for much there
 SMALL = 20  # observations of a sector up to which the searches get the larger budget
 LEVELS = np.array([0.0, 0.5, 0.85, 0.95, 0.99, 1.0 + 1e-9])  # of confidence
@@ -58,7 +57,7 @@ def methods(wanted: str, nodes: int) -> dict[str, tuple[str, dict[str, float]]]:
         if name == "jcbb":
             table.update({f"jcbb {gate:g}": (name, {"gate": gate, "budget": nodes}) for gate in GATES})
         else:
-            table[name] = (name, ALONE if name == "stt" else {"budget": nodes} if name in ("map", "ipjc") else {})
+            table[name] = (name, {"budget": nodes} if name in ("map", "ipjc") else {})
     return table
 
 
@@ -94,7 +93,7 @@ def value(problem: AssociationProblem, match: Ids) -> float:
 
 def optimum_reached(cell: list[Scan], proven: Outcome, changes: Mapping[str, Any]) -> tuple[int, int]:
     """Problems that `map` finished, and where STT's most probable hypothesis has the same L; `changes` of its settings."""
-    part = registry.build("associator", "stt", {"decide": "map", **ALONE, **changes})
+    part = registry.build("associator", "stt", {"decide": "map", **changes})
     finished = same = 0
     for k, (scan, best) in enumerate(zip(cell, proven.found, strict=True)):
         if best.info["proof"] != "optimal":

@@ -57,7 +57,7 @@ class LifeCycle:
     chance: float = 0.1
     in_view: float = 0.9
     merge: bool = True
-    present: bool = True
+    present: bool = False
     reference: bool = False
     signature: str = "off"
     signature_gate: float = 0.9999
@@ -85,7 +85,7 @@ class LifeCycle:
 
     def faithful(self) -> LifeCycle:
         """The reference program's policy: landmarks at once, one gate, nothing merged, nothing forgotten."""
-        return replace(self, hits=1, gate=0.99, apart=0.99, merge=False, present=False, reference=True)
+        return replace(self, hits=1, gate=0.99, apart=0.99, merge=False, reference=True)
 
 
 @dataclass(slots=True)

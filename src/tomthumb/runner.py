@@ -28,7 +28,7 @@ class Loop:
     king, loops, lost, and the `revision` window in scans (0: none): docs/lost.md.
     """
 
-    width: int = 8
+    width: int = 1
     faithful: bool = False
     frozen: bool = False
     king: bool = False

@@ -67,7 +67,7 @@ class Slam:
         estimator: Estimator[Any],
         *,
         policy: LifeCycle | None = None,
-        width: int = 8,
+        width: int = 1,
         teacher: Associator | None = None,
         teach_steps: int = 0,
         rng: tuple[Rng, Rng] | None = None,

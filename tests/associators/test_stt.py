@@ -245,7 +245,7 @@ def test_brothers_leave_the_decision_by_sums_as_it_is(monkeypatch, behind):
     gap = np.sqrt(0.01 + 2.0 * 0.0101 * behind)
     problem = between(np.array([gap, 0.5, 0.5]))
     (alone,) = TomThumb(brothers=1).associate(problem, np.random.default_rng(0))
-    first, *brothers = TomThumb().associate(problem, np.random.default_rng(0))
+    first, *brothers = TomThumb(brothers=8).associate(problem, np.random.default_rng(0))
     assert len(listed) == 2
     assert first.match.tolist() == alone.match.tolist() == [0, 1, 2]
     assert np.allclose(first.confidence, alone.confidence)

@@ -83,7 +83,7 @@ class TomThumb:
     anchors: int = 15
     basins: int = 12
     poses: int = 200_000
-    brothers: int = 8
+    brothers: int = 1
     ambiguity: float = 3.0
     least: float = 0.0
     decide: str = "marginal"
