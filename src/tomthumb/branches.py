@@ -47,9 +47,8 @@ class Branch:
         self.evidence += log_weight
 
 
-Child = tuple[
-    Branch, Sequence[Predictions], Sequence[Ids], dict[str, Any]
-]  # with what was expected, matched, and spent
+# a branch after a scan, with what was expected and matched (of each prediction), and what was spent
+Child = tuple[Branch, Sequence[Predictions], Sequence[Ids], dict[str, Any]]
 
 
 def ranked(children: list[Child]) -> None:
