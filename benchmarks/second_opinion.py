@@ -1,6 +1,6 @@
 """Where two associators differ on a log: every problem of one's run is put to the other too, and both held against the truth.
 
-    python benchmarks/second_opinion.py LOG [--first stt] [--second jcbb] [--set slam.present=false] [--shaken N [--dropped .03]]
+    python benchmarks/second_opinion.py LOG [--first stt] [--second jcbb] [--set slam.present=true] [--shaken N [--dropped .03]]
 
 LOG as `tomthumb run` takes it, with labels. A landmark is what most of its sightings so far were of; to leave an observation
 unpaired is right where no landmark of the map is that. Then the first one's confidence: of decisions of some confidence, how

@@ -24,7 +24,7 @@ from scan_problems import CLASSES, CLOUD_CLASSES, SECTOR_CLASSES, Scan, scans
 from threadpoolctl import threadpool_limits
 
 from tomthumb import registry
-from tomthumb.associators.tom_thumb.scene import base_gains
+from tomthumb.gains import base_gains
 from tomthumb.kernels.posterior import value_of
 from tomthumb.stats.bootstrap import mean_interval
 from tomthumb.stats.profiles import growth

@@ -19,7 +19,8 @@ MAY = {
     "protocols": {"types"},
     "models": BASE,
     "estimators": BASE | {"models"},  # for the sensitivity to calibration states only
-    "associators": BASE | {"tale"},
+    "gains": BASE,
+    "associators": BASE | {"gains", "tale"},
     "appearance": BASE,
     "graves": BASE,
     "stillness": BASE,
@@ -28,7 +29,7 @@ MAY = {
     "twins": BASE | {"lifecycle", "sensing"},
     "doubt": BASE | {"lifecycle"},
     "returns": BASE | {"branches", "graves", "lifecycle"},
-    "copies": BASE | {"branches", "slam"},  # the loop for its type only
+    "copies": BASE | {"branches", "gains", "slam"},  # the loop for its type only
     "slam": BASE
     | {
         "appearance",

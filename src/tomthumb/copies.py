@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tomthumb.branches import Branch, Child, Scan
+from tomthumb.gains import base_table
 from tomthumb.geometry import to_frame, wrap_angle
 from tomthumb.kernels import posterior
-from tomthumb.kernels.scene import log_odds, own_gains
 from tomthumb.protocols import Sensor
-from tomthumb.types import Array, AssociationProblem, Ids, Mask, Predictions
+from tomthumb.types import Array, AssociationProblem, Ids, Mask
 
 if TYPE_CHECKING:
     from tomthumb.slam import Slam
@@ -119,17 +119,7 @@ def _elsewhere(slam: Slam, branch: Branch, other: Branch, z: Array) -> Mask:
 
 def _worth(problem: AssociationProblem, match: Ids, rows: Ids) -> float:
     """What the pairings of `rows` add to L."""
-    p, bearing = problem.predictions, bool(problem.angles)
-    odds = _odds(p)
-    own = own_gains(problem.z, problem.clutter, p.z_hat, odds if p.visible is not None else np.empty(0), bearing)
-    base = own[:, None] + odds + (0.0 if problem.evidence is None else problem.evidence)
-    given = problem.innovation, np.ascontiguousarray(p.cov), problem.R, base
+    given = problem.innovation, np.ascontiguousarray(problem.predictions.cov), problem.R, base_table(problem)
     without = match.copy()
     without[rows] = -1
     return float(posterior.value_of(match, *given)[0] - posterior.value_of(without, *given)[0])
-
-
-def _odds(p: Predictions) -> Array:
-    nothing = np.empty(0)
-    odds: Array = log_odds(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
-    return odds

@@ -185,11 +185,11 @@ class Slam:
         found = [self._ask(p, scan) for p in every]
         several = len(every) == 1 and mostly_stands(branch.trials, self.policy)
         some = found[0][: self.width if several else 1]
-        parents = [branch, *(self._fork(branch) for _ in some[1:])]
-        for child, hypothesis in zip(parents, some, strict=True):
+        grown = [branch, *(self._fork(branch) for _ in some[1:])]
+        for child, hypothesis in zip(grown, some, strict=True):
             child.weigh(hypothesis.log_weight)
         others = [f[0].match for f in found[1:]]
-        return [(c, every, [h.match, *others], _spent(h)) for c, h in zip(parents, some, strict=True)]
+        return [(c, every, [h.match, *others], _spent(h)) for c, h in zip(grown, some, strict=True)]
 
     def _expected(self, predictions: Predictions, branch: Branch) -> Predictions:
         """The predictions with what the life so far says: existence, and detection where each landmark stands."""

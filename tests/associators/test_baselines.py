@@ -17,8 +17,9 @@ from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.randomized import RandomizedCompatibility
 from tomthumb.associators.sequential import SequentialNearestNeighbour, begin
 from tomthumb.associators.singles import Singles
-from tomthumb.associators.tom_thumb.scene import base_gains, lever, rigid
+from tomthumb.associators.tom_thumb.scene import lever, rigid
 from tomthumb.errors import TomThumbError
+from tomthumb.gains import base_gains
 from tomthumb.kernels import clique, ipjc
 from tomthumb.kernels.gates import innovations
 from tomthumb.types import AssociationProblem, Predictions

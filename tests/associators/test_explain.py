@@ -9,8 +9,8 @@ from scipy.special import chdtri
 from associators.brute import matches, random_problem, tabulate
 from tomthumb.associators.explain import explain
 from tomthumb.associators.jcbb import JointCompatibility
-from tomthumb.associators.tom_thumb.scene import base_gains
 from tomthumb.errors import TomThumbError
+from tomthumb.gains import base_gains
 
 
 def looked_up(problem):

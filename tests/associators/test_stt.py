@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.tom_thumb import TomThumb
 from tomthumb.associators.tom_thumb.basins import NO_LABELS
-from tomthumb.associators.tom_thumb.scene import base_gains, lever, rigid, window
+from tomthumb.associators.tom_thumb.scene import lever, rigid, window
+from tomthumb.errors import TomThumbError
+from tomthumb.gains import base_gains
 from tomthumb.kernels import motion, posterior
 from tomthumb.kernels.gates import innovations
 from tomthumb.kernels.grid import fill_grid
@@ -266,3 +268,8 @@ def test_no_brother_is_before_the_decision():
         assert all(a >= b for a, b in pairwise(weights))
         other += len(weights) > 1
     assert other > 5
+
+
+def test_a_family_without_anybody_is_refused():
+    with pytest.raises(TomThumbError, match="brothers=0"):
+        TomThumb(brothers=0)

@@ -10,7 +10,8 @@ import numpy as np
 
 from tomthumb.associators.maximum import MaximumPosterior
 from tomthumb.associators.tom_thumb import TomThumb
-from tomthumb.associators.tom_thumb.scene import base_gains, cartesian, lever, rigid
+from tomthumb.associators.tom_thumb.scene import cartesian, lever, rigid
+from tomthumb.gains import base_gains
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -17,13 +17,13 @@ from tomthumb.associators.tom_thumb.scene import (
     NO_LABELS,
     Rigid,
     Window,
-    base_gains,
     curved_window,
     lever,
     rigid,
 )
 from tomthumb.associators.tom_thumb.there import given_there, straight, unshared
 from tomthumb.associators.tom_thumb.there import related as related_there
+from tomthumb.gains import base_gains
 from tomthumb.kernels import arcs, posterior
 from tomthumb.types import AssociationProblem, Predictions
 

@@ -7,7 +7,8 @@ import pytest
 
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.candidates import gated
-from tomthumb.associators.tom_thumb.scene import base_gains, window
+from tomthumb.associators.tom_thumb.scene import window
+from tomthumb.gains import base_gains
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from associators.brute import random_problem, tabulate
-from tomthumb.associators.tom_thumb.scene import base_gains, base_table, curved_window, rigid, window
+from tomthumb.associators.tom_thumb.scene import curved_window, rigid, window
+from tomthumb.gains import base_gains, base_table
 from tomthumb.kernels import flights, listing, posterior
 from tomthumb.kernels.grid import fill_grid
 

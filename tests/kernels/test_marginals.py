@@ -8,7 +8,8 @@ from scipy.optimize import linear_sum_assignment
 from associators.brute import random_problem, tabulate
 from tomthumb.associators.tom_thumb.basins import Basin, at_pose
 from tomthumb.associators.tom_thumb.decision import most_probable, sampled_marginals
-from tomthumb.associators.tom_thumb.scene import base_gains, rigid, window
+from tomthumb.associators.tom_thumb.scene import rigid, window
+from tomthumb.gains import base_gains
 from tomthumb.kernels import marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains
 

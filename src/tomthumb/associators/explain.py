@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc
 
-from tomthumb.associators.tom_thumb.scene import base_table
 from tomthumb.errors import TomThumbError
+from tomthumb.gains import base_table
 from tomthumb.kernels import posterior
 from tomthumb.kernels.left_out import left_out_gains
 from tomthumb.types import Array, Association, AssociationProblem, Ids

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tomthumb.associators.tom_thumb.scene import base_table, gate_of_two, window
+from tomthumb.associators.tom_thumb.scene import gate_of_two, window
 from tomthumb.errors import TomThumbError
+from tomthumb.gains import base_table
 from tomthumb.kernels import posterior
 from tomthumb.protocols import Rng
 from tomthumb.types import Association, AssociationProblem, Ids

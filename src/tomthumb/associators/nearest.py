@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
+from tomthumb.gains import log_odds, weighed
 from tomthumb.protocols import Rng
 from tomthumb.types import Array, Association, AssociationProblem, Ids
 
@@ -97,14 +98,4 @@ def pair_gains(problem: AssociationProblem) -> Array:
     gains: Array = (
         odds[None] - np.log(problem.clutter)[:, None] - 0.5 * problem.weighed_d2 - 0.5 * np.log(4 * np.pi**2 * det)
     )
-    return gains if problem.evidence is None else gains + problem.evidence
-
-
-def log_odds(problem: AssociationProblem) -> Array:
-    """log P_D / (1 - P_D) of each prediction (n,), P_D = probability of existence and detection."""
-    from tomthumb.kernels.scene import log_odds as kernel
-
-    p = problem.predictions
-    nothing = np.empty(0)
-    odds: Array = kernel(len(p), nothing if p.visible is None else p.visible, nothing if p.exist is None else p.exist)
-    return odds
+    return weighed(gains, problem.evidence)

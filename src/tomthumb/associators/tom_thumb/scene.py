@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tomthumb.associators.nearest import log_odds
 from tomthumb.kernels import arcs
 from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids, Mask
@@ -20,7 +19,7 @@ from tomthumb.types import Array, AssociationProblem, Ids, Mask
 SAMPLE = 16  # predictions on which the common motion is fitted and checked
 REMAINDER = 0.1  # covariance between landmarks left over by the motion, relative to their own and the noise
 LOOSE = 10.0  # the same where a linearised covariance would be wrong by more than that, and what is found is looked at again
-NOTHING, UNKNOWN = np.empty((0, 0)), np.empty(0)
+NOTHING = np.empty((0, 0))
 NO_LABELS: Mask = np.empty((0, 0), np.bool_)
 
 
@@ -67,25 +66,6 @@ class Rigid:
         """Evidence of the pairings of a match (m,), together."""
         rows = np.flatnonzero(match >= 0)
         return 0.0 if self.evidence is None else float(self.evidence[rows, match[rows]].sum())
-
-
-def base_gains(problem: AssociationProblem, prior: Array | None) -> tuple[Array, Array]:
-    """(m,) -log lambda0 of each observation and (n,) log odds of detection plus the memory's prior, in z's units."""
-    odds = log_odds(problem)
-    known = odds if problem.predictions.visible is not None else UNKNOWN
-    own = kernel.own_gains(problem.z, problem.clutter, problem.predictions.z_hat, known, bool(problem.angles))
-    return own, odds if prior is None else odds + prior
-
-
-def weighed(gains: Array, evidence: Array | None) -> Array:
-    """Gains (m, n) with the evidence of what observations and landmarks look like, where there is any."""
-    return gains if evidence is None else gains + evidence
-
-
-def base_table(problem: AssociationProblem) -> Array:
-    """Base gain (m, n) of each pairing: log P_D / (1 - P_D) - log lambda0 + evidence."""
-    base, odds = base_gains(problem, None)
-    return weighed(base[:, None] + odds[None], problem.evidence)
 
 
 def gate_of_two(gate: float) -> float:

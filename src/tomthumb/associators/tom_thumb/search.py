@@ -31,15 +31,14 @@ from tomthumb.associators.tom_thumb.scene import (
     REMAINDER,
     Rigid,
     Window,
-    base_gains,
     curved_window,
     gate_of_two,
     rigid,
-    weighed,
     window,
 )
 from tomthumb.associators.tom_thumb.there import STRAIGHT, bend_of, given_there, one_pose, related, straight, unshared
-from tomthumb.errors import from_zero
+from tomthumb.errors import TomThumbError, from_zero
+from tomthumb.gains import base_gains, weighed
 from tomthumb.kernels import listing, marginals, posterior
 from tomthumb.kernels.left_out import left_out_gains, unambiguous
 from tomthumb.protocols import Rng
@@ -104,6 +103,8 @@ class TomThumb:
         from_zero(
             "associator", self, "nodes flights patience anchors ambiguity least samples reach quick listed hard bent"
         )
+        if self.brothers < 1:
+            raise TomThumbError(f"associator.brothers={self.brothers}: at least 1 hypothesis is returned")
         if self.lessons is None:
             self.lessons = LogMemory(self.recent, clip=self.clip, size=self.size)
 

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tomthumb.associators.tom_thumb.basins import Basin
-from tomthumb.associators.tom_thumb.scene import Rigid, lever, weighed
+from tomthumb.associators.tom_thumb.scene import Rigid, lever
+from tomthumb.gains import weighed
 from tomthumb.kernels import posterior
 from tomthumb.kernels import scene as kernel
 from tomthumb.types import Array, AssociationProblem, Ids
